@@ -1,0 +1,54 @@
+"""The errors of this package: one base class, so that a caller can catch them all."""
+
+from __future__ import annotations
+
+
+class SkewmiError(Exception):
+    """Base of every error that a user of the package can cause or has to handle.
+
+    The message is one line that says what was given, what is allowed and what to do.
+    The command line prints it and exits with code 2.
+    """
+
+
+class ConfigurationError(SkewmiError):
+    """A value in a configuration, a flag or a file is not allowed."""
+
+
+class NotFoundError(SkewmiError):
+    """Something asked for by name does not exist; the message lists what does."""
+
+
+class LayoutMismatchError(SkewmiError):
+    """A policy and its user disagree about observation, action or robot model."""
+
+
+class PolicyFileError(SkewmiError):
+    """A policy file cannot be read or is not one of ours."""
+
+
+class CheckpointError(SkewmiError):
+    """A run directory or a checkpoint in it is missing, damaged or of another kind."""
+
+
+class KinematicsError(SkewmiError):
+    """A pose cannot be reached, or a configuration is outside the joint limits."""
+
+
+class LimitViolation(SkewmiError):
+    """A command breaks a limit; carries the limit's name, the value and the bound."""
+
+    def __init__(self, limit: str, value: float, bound: float, detail: str = "") -> None:
+        self.limit = limit
+        self.value = value
+        self.bound = bound
+        message = f"{limit}: {value:.6g} is outside the bound {bound:.6g}"
+        super().__init__(f"{message} ({detail})" if detail else message)
+
+
+class TransportError(SkewmiError):
+    """The message link cannot be opened, or nobody answers on it."""
+
+
+class CommandRefusedError(SkewmiError):
+    """The robot endpoint refused a command; the message gives its reason."""
