@@ -35,7 +35,7 @@ class KinematicsError(SkewmiError):
     """A pose cannot be reached, or a configuration is outside the joint limits."""
 
 
-class LimitViolation(SkewmiError):
+class LimitViolationError(SkewmiError):
     """A command breaks a limit; carries the limit's name, the value and the bound."""
 
     def __init__(self, limit: str, value: float, bound: float, detail: str = "") -> None:

@@ -298,7 +298,8 @@ def integrate_command(
     lead = command_position_w + step - hand_position_w
     distance = np.linalg.norm(lead, axis=-1, keepdims=True)
     lead = lead * np.minimum(1.0, workspace.max_lead / np.maximum(distance, 1e-12))
-    return np.clip(hand_position_w + lead, np.array(workspace.low), np.array(workspace.high))
+    target: Array = np.clip(hand_position_w + lead, workspace.low, workspace.high)
+    return target
 
 
 class Policy(Protocol):

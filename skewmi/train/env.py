@@ -51,7 +51,7 @@ class BatchEnv(Protocol):
         """Extrinsic reward of states, vectorised. Shape (..., state_dim) -> (...)."""
 
     def reachable(self, state: Array) -> NDArray[np.bool_]:
-        """Whether states can be reached at all (for coverage and goals). (..., state_dim) -> (...)."""
+        """Whether states can be reached at all. Shape (..., state_dim) -> (...)."""
 
     def random_state(self) -> dict[str, object]:
         """JSON-serialisable state of every random stream, for checkpoints."""
