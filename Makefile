@@ -1,0 +1,50 @@
+# Two commands do everything on a fresh machine: `make demo` and `make test`.
+PYTHON ?= python3
+VENV ?= .venv
+# The CPU build that the results were made with. For a GPU: `make demo TORCH=torch`
+# (any release that pyproject.toml admits), or install your own torch into $(VENV) first.
+TORCH ?= torch==2.13.0
+BIN := $(VENV)/bin
+JOBS ?= 2
+
+.PHONY: demo test test-slow check format bench clean help
+
+help:  ## list the targets
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
+
+$(VENV)/installed: pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "skewmi needs Python 3.11 or newer; set PYTHON=..." >&2; exit 2; }
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || \
+		{ echo "no venv module: apt-get install python3-venv" >&2; exit 2; }
+	@$(BIN)/python -c 'import torch' 2>/dev/null || \
+		{ echo "installing $(TORCH)"; $(BIN)/python -m pip install -q "$(TORCH)"; }
+	@echo "installing skewmi and what it needs (a few minutes the first time)"
+	@$(BIN)/python -m pip install -q -e '.[train,dev]'
+	@touch $@
+
+demo: $(VENV)/installed  ## train, export, deploy on the simulated YuMi, write the replay
+	$(BIN)/skewmi demo
+
+test: $(VENV)/installed  ## the whole suite but the slow tests
+	$(BIN)/python -m pytest -q -n $(JOBS) -m "not slow"
+
+test-slow: $(VENV)/installed  ## the tests marked slow
+	$(BIN)/python -m pytest -q -n $(JOBS) -m slow
+
+check: $(VENV)/installed  ## lint, formatting and types
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: $(VENV)/installed  ## let ruff format and fix
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: $(VENV)/installed  ## every benchmark of a few minutes; results/ gets the figures
+	$(BIN)/python benchmarks/env.py --json --out results/env.json
+	$(BIN)/python benchmarks/sac.py --json --out results/sac.json
+	$(BIN)/python benchmarks/planner.py --json --out results/planner.json
+
+clean:
+	rm -rf build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache

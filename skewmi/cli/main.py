@@ -1,0 +1,102 @@
+"""`skewmi COMMAND ...`: finds the command, parses its options, turns errors into exit codes.
+
+Exit codes: 0 done, 1 done but the task or check failed, 2 bad input or environment,
+130 interrupted. Errors that the user can mend are one line on standard error.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+import textwrap
+
+import tyro
+
+from skewmi import __version__
+from skewmi.errors import NotFoundError, SkewmiError
+
+COMMANDS: dict[str, str] = {
+    "demo": "train briefly, export, deploy on the simulated YuMi, write replay and picture",
+    "train": "learn a task from its sparse reward",
+    "evaluate": "success rate of a run or ONNX file in the batched simulation",
+    "figures": "learning curves and state-visitation pictures of a run",
+    "export-onnx": "write a run's policy as one self-describing ONNX file",
+    "robot": "start a robot endpoint (the simulated YuMi)",
+    "deploy": "run an ONNX policy on a robot endpoint",
+    "stop": "bring the arm smoothly to rest",
+    "replay": "turn a recording into a Rerun file, or show it live",
+    "doctor": "what works on this machine",
+}
+"""Command -> one line of help. `a-b` lives in module `a_b` as `ABCommand` and `run_a_b`."""
+
+
+def usage() -> str:
+    width = max(map(len, COMMANDS))
+    lines = [f"  {name:<{width}}  {line}" for name, line in COMMANDS.items()]
+    return "\n".join(
+        [
+            "usage: skewmi COMMAND [options]      (skewmi COMMAND --help: options and units)",
+            "",
+            *lines,
+            "",
+            "  --version, --help",
+        ]
+    )
+
+
+def run_command(name: str, arguments: list[str]) -> int:
+    """Parse `arguments` for command `name` and run it.
+
+    Raises:
+        NotFoundError: There is no such command.
+        SkewmiError: Whatever the command raises about its input.
+    """
+    if name not in COMMANDS:
+        raise NotFoundError(f"unknown command {name!r}; commands are {', '.join(COMMANDS)}")
+    module_name = name.replace("-", "_")
+    try:
+        module = importlib.import_module(f"skewmi.cli.{module_name}")
+    except ModuleNotFoundError as error:
+        if error.name is not None and error.name.split(".")[0] == "skewmi":
+            raise
+        raise NotFoundError(
+            f"`skewmi {name}` needs the package {error.name!r}: pip install 'skewmi[train]'"
+        ) from error
+    options_type = getattr(module, "".join(part.title() for part in name.split("-")) + "Command")
+    run = getattr(module, f"run_{module_name}")
+    description = textwrap.dedent(module.__doc__ or "")
+    options = tyro.cli(
+        options_type,
+        prog=f"skewmi {name}",
+        description=description,
+        args=arguments,
+    )
+    return int(run(options))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Entry point of the `skewmi` command. Returns the exit code."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    if not arguments or arguments[0] in ("-h", "--help", "help"):
+        print(usage())
+        return 0 if arguments else 2
+    if arguments[0] == "--version":
+        print(f"skewmi {__version__}")
+        return 0
+    try:
+        return run_command(arguments[0], arguments[1:])
+    except SkewmiError as error:
+        print(f"skewmi {arguments[0]}: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print(f"skewmi {arguments[0]}: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        # The reader (head, less) went away; leave quietly, as other tools do.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,80 @@
+"""Who may import whom, checked in fresh interpreters: the folder tree is the architecture."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+FORBIDDEN: dict[str, tuple[str, ...]] = {
+    "skewmi.errors": ("numpy", "mujoco", "torch"),
+    "skewmi.policy_io": ("mujoco", "pinocchio", "torch", "onnxruntime", "zenoh", "skewmi.sim"),
+    "skewmi.robot_models": (
+        "torch",
+        "pinocchio",
+        "mink",
+        "zenoh",
+        "skewmi.policy_io",
+        "skewmi.sim",
+        "skewmi.train",
+        "skewmi.deploy",
+    ),
+    "skewmi.calibration": ("torch", "skewmi.sim", "skewmi.train", "skewmi.deploy"),
+    "skewmi.sim": ("torch", "zenoh", "skewmi.train", "skewmi.export", "skewmi.deploy"),
+    "skewmi.train": (
+        "mujoco",
+        "zenoh",
+        "skewmi.robot_models",
+        "skewmi.sim",
+        "skewmi.export",
+        "skewmi.deploy",
+    ),
+    "skewmi.export": ("zenoh", "mujoco", "skewmi.sim", "skewmi.robot_models"),
+    "skewmi.deploy": ("torch", "onnx", "skewmi.sim", "skewmi.train", "skewmi.export"),
+    "skewmi.cli.main": ("torch", "mujoco", "zenoh", "skewmi.sim", "skewmi.train"),
+}
+"""Package -> what must not be loaded after importing all of it (`cli.main`: only itself)."""
+
+MAY_IMPORT_SIM = ("skewmi.deploy.endpoint",)
+"""The simulated robot runs the simulation; nothing else in deploy may."""
+
+IMPORT_ALL = """
+import importlib, pkgutil, sys
+name, *skip = sys.argv[1:]
+module = importlib.import_module(name)
+for found in pkgutil.walk_packages(getattr(module, "__path__", []), name + "."):
+    if not any(found.name == s or found.name.startswith(s + ".") for s in skip):
+        importlib.import_module(found.name)
+print("\\n".join(sys.modules))
+"""
+
+
+def loaded_modules(package: str, skip: tuple[str, ...]) -> set[str]:
+    result = subprocess.run(
+        [sys.executable, "-c", IMPORT_ALL, package, *skip],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert result.returncode == 0, result.stderr
+    return set(result.stdout.split())
+
+
+@pytest.mark.parametrize("package", FORBIDDEN)
+def test_package_imports_only_what_the_architecture_allows(package: str) -> None:
+    loaded = loaded_modules(package, MAY_IMPORT_SIM if package == "skewmi.deploy" else ())
+    assert package in loaded
+    assert sorted(loaded.intersection(FORBIDDEN[package])) == []
+
+
+def test_simulated_endpoint_runs_without_torch() -> None:
+    loaded = loaded_modules("skewmi.deploy.endpoint", ())
+    assert sorted(loaded & {"torch", "skewmi.train", "skewmi.export"}) == []
+
+
+def test_nobody_imports_the_command_line() -> None:
+    for package in FORBIDDEN:
+        if not package.startswith("skewmi.cli"):
+            loaded = loaded_modules(package, MAY_IMPORT_SIM)
+            assert not any(name.startswith("skewmi.cli") for name in loaded), package
