@@ -58,7 +58,6 @@ def machine_info() -> dict[str, Any]:
         "processor": _processor(),
         "cores": cores,
         "system": platform.system(),
-        "release": platform.release(),
         "machine": platform.machine(),
     }
     if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:

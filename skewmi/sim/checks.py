@@ -1,0 +1,43 @@
+"""Refusals that every task makes in the same words."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from skewmi.errors import ConfigurationError
+from skewmi.policy_io import Array
+
+
+def checked_num_envs(num_envs: int) -> int:
+    """The number itself.
+
+    Raises:
+        ConfigurationError: It is not a whole number from 1.
+    """
+    if isinstance(num_envs, bool) or int(num_envs) != num_envs or num_envs < 1:
+        raise ConfigurationError(f"num_envs is {num_envs!r}; it must be a whole number from 1")
+    return int(num_envs)
+
+
+def checked_action(action: ArrayLike, num_envs: int, action_dim: int) -> Array:
+    """The action as float64. Shape (num_envs, action_dim).
+
+    Raises:
+        ConfigurationError: It has another shape, or is not finite.
+    """
+    try:
+        values = np.asarray(action, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ConfigurationError(f"action is not an array of numbers: {error}") from error
+    if values.shape != (num_envs, action_dim):
+        raise ConfigurationError(
+            f"action has shape {values.shape}; this environment takes "
+            f"(num_envs, action_dim) = {(num_envs, action_dim)}"
+        )
+    if not np.isfinite(values).all():
+        row, column = np.argwhere(~np.isfinite(values))[0]
+        raise ConfigurationError(
+            f"action[{row}, {column}] is {values[row, column]}; actions must be finite, in -1..1"
+        )
+    return values

@@ -1,0 +1,1 @@
+"""PointMaze: a point that explores a maze of corridors."""
