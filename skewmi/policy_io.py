@@ -117,6 +117,13 @@ class PolicyLayout:
     workspace: Workspace | None = None
 
     def __post_init__(self) -> None:
+        if not self.control_dt > 0.0:
+            raise ConfigurationError(f"control_dt {self.control_dt} s must be positive")
+        if self.episode_steps < 1 or self.success_hold_steps < 1:
+            raise ConfigurationError(
+                f"episode_steps {self.episode_steps} and success_hold_steps "
+                f"{self.success_hold_steps} must be at least 1"
+            )
         names = self.observation_names
         if len(set(names)) != len(names):
             raise ConfigurationError(f"observation field names repeat: {', '.join(names)}")
@@ -269,6 +276,33 @@ def inside_region(layout: PolicyLayout, state: Array) -> NDArray[np.bool_]:
         distance = np.linalg.norm(state[..., columns] - np.array(ball.centre), axis=-1)
         inside &= distance <= ball.radius
     return inside
+
+
+def first_success_step(layout: PolicyLayout, in_region: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """After how many steps an episode succeeded: the region held for `success_hold_steps`.
+
+    Args:
+        layout: Gives the number of consecutive steps that must end inside the region.
+        in_region: Whether each step ended inside the region; row t is after step t + 1.
+            Shape (n_steps, ...).
+
+    Returns:
+        Number of steps taken when the last of them was reached for the first time, at least
+        `success_hold_steps`; -1 where that never happened. Shape (...).
+    """
+    in_region = np.asarray(in_region, dtype=np.bool_)
+    held = np.zeros(in_region.shape[1:], dtype=np.int64)
+    first = np.full(in_region.shape[1:], -1, dtype=np.int64)
+    for step, inside in enumerate(in_region, start=1):
+        held = np.where(inside, held + 1, 0)
+        first = np.where((first < 0) & (held >= layout.success_hold_steps), step, first)
+    return first
+
+
+def episode_success(layout: PolicyLayout, in_region: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Whether episodes succeeded; arguments as `first_success_step`. Shape (...)."""
+    success: NDArray[np.bool_] = first_success_step(layout, in_region) > 0
+    return success
 
 
 def integrate_command(
