@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from skewmi.policy_io import ActionField, Array, Ball, Field, PolicyLayout
+from skewmi.policy_io import TIME_FIELD, ActionField, Array, Ball, Field, PolicyLayout
 
 CELL_SIZE = 2.0
 """Side of a cell, m."""
@@ -61,13 +61,13 @@ def layout(*, time_input: bool = False) -> PolicyLayout:
         Field("x", "m", "world", -12.0, 4.0),
         Field("y", "m", "world", -6.0, 6.0),
     )
-    time = (Field("time", "1", "episode", 0.0, 1.0),) if time_input else ()
+    time = (Field(TIME_FIELD, "1", "episode", 0.0, 1.0),) if time_input else ()
     return PolicyLayout(
         task="point_maze",
         observation=position + time,
         action=(
-            ActionField("step_x", "m", "world", STEP_SIZE),
-            ActionField("step_y", "m", "world", STEP_SIZE),
+            ActionField("step_x", "m/step", "world", STEP_SIZE),
+            ActionField("step_y", "m/step", "world", STEP_SIZE),
         ),
         reward_region=(Ball(("x", "y"), TARGET, TARGET_RADIUS),),
         control_dt=CONTROL_DT,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from skewmi.batch_env import StepResult
 from skewmi.errors import ConfigurationError
-from skewmi.policy_io import Array, PolicyLayout, assemble_observation, inside_region
+from skewmi.policy_io import TIME_FIELD, Array, PolicyLayout, assemble_observation, inside_region
 from skewmi.sim.checks import checked_action, checked_num_envs
 from skewmi.sim.point_maze import maze
 
@@ -126,7 +126,7 @@ class PointMazeBatch:
             {
                 "x": self._position[:, 0],
                 "y": self._position[:, 1],
-                "time": self._step_index / self.layout.episode_steps,
+                TIME_FIELD: self._step_index / self.layout.episode_steps,
             },
         )
 
