@@ -1,0 +1,125 @@
+"""What every robot endpoint has in common: the contract of a backend and its description."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Protocol
+
+from skewmi.deploy.endpoint.executor import PlanPoint
+from skewmi.errors import SkewmiError, TransportError
+from skewmi.policy_io import Array
+
+GRID_NS = 4_000_000
+"""The endpoint's grid: one joint target every 4 ms, as the controller's EGM asks for them."""
+
+STATE_PERIOD_TICKS = 5
+"""Joint and scene states are published every 5 ticks, 20 ms: the daemon's planner cycle."""
+
+
+class BackendFaultError(SkewmiError):
+    """The robot itself cannot go on; the endpoint goes to fault with this reason."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What the robot measures at one tick.
+
+    Attributes:
+        names: The seven arm joints in chain order, then the finger.
+        position: rad, and m for fingers. Shape (n,).
+        velocity: rad/s and m/s. Shape (n,).
+        effort: N m and N. Shape (n,).
+        scene_names: Names of the scene's joints; empty without a scene.
+        scene_position: rad or m. Shape (len(scene_names),).
+        scene_velocity: rad/s or m/s. Shape (len(scene_names),).
+    """
+
+    names: tuple[str, ...]
+    position: Array
+    velocity: Array
+    effort: Array
+    scene_names: tuple[str, ...]
+    scene_position: Array
+    scene_velocity: Array
+
+
+class RobotBackend(Protocol):
+    """A robot that follows one joint target every 4 ms. Used by the endpoint's loop alone."""
+
+    name: str
+    """What `describe` tells: `sim`, ..."""
+    joint_names: tuple[str, ...]
+    """The seven arm joints in chain order."""
+    task: str
+    """The task the scene belongs to."""
+    layout_hashes: tuple[str, ...]
+    """Every variant of the task's layout that this scene serves (with and without time, ...)."""
+
+    def measure(self) -> Measurement:
+        """Present state; the arrays are not written to afterwards."""
+
+    def step(self, target: PlanPoint) -> None:
+        """Follow `target` for one grid interval.
+
+        Raises:
+            BackendFaultError: The robot cannot.
+        """
+
+    def open_gripper(self, opening: float) -> None:
+        """Move each finger to `opening` m from closed, from the next step on."""
+
+    def reset_scene(self, seed: int) -> Array:
+        """Start the episode `seed` says; returns where the arm rests now, shape (7,), rad.
+
+        Raises:
+            CommandRefusedError: The scene is real.
+        """
+
+
+@dataclass(frozen=True)
+class EndpointDescription:
+    """What an endpoint says about itself; the daemon compares it with what the policy needs."""
+
+    backend: str
+    task: str
+    layout_hashes: tuple[str, ...]
+    robot_model_hash: str
+    limit_profile: str
+    lock_step: bool
+    grid_ns: int
+    state_period_ns: int
+    state: str
+    reason: str
+    clock_ns: int
+    """The endpoint's clock: when the next sample is due."""
+    joint_names: tuple[str, ...]
+    commanded_position: tuple[float, ...]
+    """Where the plan ends, rad: the point a new commander's first chunk starts from."""
+    limits: Mapping[str, tuple[float, ...]]
+    """The bounds of the limit profile per joint, so that both sides can compare them."""
+
+    def to_json(self) -> str:
+        """One JSON object; floats at full precision."""
+        return json.dumps(asdict(self), sort_keys=True)
+
+    @staticmethod
+    def from_json(text: str) -> EndpointDescription:
+        """Inverse of `to_json`.
+
+        Raises:
+            TransportError: The text is not a description, or one of another version.
+        """
+        try:
+            content: dict[str, Any] = json.loads(text)
+            for name in ("joint_names", "layout_hashes"):
+                content[name] = tuple(content[name])
+            content["commanded_position"] = tuple(map(float, content["commanded_position"]))
+            content["limits"] = {k: tuple(v) for k, v in content["limits"].items()}
+            return EndpointDescription(**content)
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise TransportError(
+                f"the endpoint's description cannot be read ({error}); "
+                "is it of another version of skewmi?"
+            ) from error

@@ -1,0 +1,73 @@
+"""Which joint target is due at which tick: the endpoint's plan on its own 4 ms grid."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from skewmi.policy_io import Array
+
+
+class PlanPoint(NamedTuple):
+    """Commanded joint state at one tick. Each of shape (n_joints,); rad, rad/s, rad/s^2."""
+
+    q: Array
+    v: Array
+    a: Array
+
+
+class PlanExecutor:
+    """Samples of the accepted plan by tick; at rest before its first and after its last sample.
+
+    The plan is what accepted chunks, laid over one another, say: a chunk replaces every sample
+    from its first tick on, so that its braking tail replaces the older one. Since every chunk
+    ends at rest, so does the plan, whatever happens to the commander.
+
+    Args:
+        q: Where the arm rests now, rad. Shape (n_joints,).
+        tick: The tick that is due next.
+    """
+
+    def __init__(self, q: Array, tick: int = 0) -> None:
+        self.rest_at(q, tick)
+
+    def rest_at(self, q: Array, tick: int) -> None:
+        """Forget the plan and stay at `q`, shape (n_joints,), rad."""
+        self._first_tick = tick
+        self._q = np.array(q, dtype=np.float64)[None]
+        self._v = np.zeros_like(self._q)
+        self._a = np.zeros_like(self._q)
+
+    @property
+    def last_tick(self) -> int:
+        """The tick of the plan's last sample, from which on the arm rests."""
+        return self._first_tick + len(self._q) - 1
+
+    def at_rest(self, tick: int) -> bool:
+        """Whether the plan has been followed to its end at `tick`."""
+        return tick >= self.last_tick
+
+    def point(self, tick: int) -> PlanPoint:
+        """What is commanded at `tick`. The arrays must not be written to."""
+        index = min(max(tick - self._first_tick, 0), len(self._q) - 1)
+        return PlanPoint(self._q[index], self._v[index], self._a[index])
+
+    def splice(self, tick: int, q: Array, v: Array, a: Array, now: int) -> None:
+        """Replace the plan from `tick` on; samples before the last executed one are forgotten.
+
+        Args:
+            tick: When the first sample is due, at least `now`.
+            q: Positions on the grid, rad. Shape (n, n_joints).
+            v: Velocities, rad/s. Shape (n, n_joints).
+            a: Accelerations, rad/s^2. Shape (n, n_joints).
+            now: The tick that is due next.
+        """
+        assert tick >= now
+        # The sample before `now` stays: the limits across the splice need it.
+        kept = np.arange(now - 1, tick) - self._first_tick
+        kept = np.clip(kept, 0, len(self._q) - 1)
+        self._q = np.concatenate([self._q[kept], q])
+        self._v = np.concatenate([self._v[kept], v])
+        self._a = np.concatenate([self._a[kept], a])
+        self._first_tick = now - 1
