@@ -27,6 +27,10 @@ class PolicyFileError(SkewmiError):
     """A policy file cannot be read or is not one of ours."""
 
 
+class VerificationError(PolicyFileError):
+    """An exported policy does not do what its original does; nothing was written."""
+
+
 class CheckpointError(SkewmiError):
     """A run directory or a checkpoint in it is missing, damaged or of another kind."""
 

@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 
 import skewmi
 from skewmi import policy_file
-from skewmi.errors import PolicyFileError
+from skewmi.errors import PolicyFileError, VerificationError
 from skewmi.export.exportable import ExportablePolicy
 from skewmi.policy_io import Array, PolicyLayout
 
@@ -80,9 +80,10 @@ def export_policy(
             must have "method" and "robot_model_hash" (None for a task without a robot).
 
     Raises:
-        PolicyFileError: The graph differs from torch by more than `TOLERANCE`, gives values
-            that are not finite, cannot be built, metadata are missing or not JSON, or the file
-            cannot be written.
+        VerificationError: The graph differs from torch by more than `TOLERANCE`, or gives
+            values that are not finite.
+        PolicyFileError: The graph cannot be built, metadata are missing or not JSON, or the
+            file cannot be written.
     """
     path = Path(path)
     observations = np.asarray(observations, dtype=np.float64)
@@ -99,7 +100,7 @@ def export_policy(
     model = build_model(policy.module, layout)
     difference = max_difference(policy, model.SerializeToString(), observations)
     if not difference <= TOLERANCE:  # also when it is NaN
-        raise PolicyFileError(
+        raise VerificationError(
             f"the ONNX graph of task {layout.task!r} differs from torch by {difference:.3g} over "
             f"{observations.shape[0] * observations.shape[1]} observations (allowed "
             f"{TOLERANCE:g}); {path} is not written"

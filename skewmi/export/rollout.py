@@ -98,13 +98,12 @@ def run_episodes(
             if progress is not None:
                 progress(round_index * n_steps + step + 1, rounds * n_steps)
         runs.append((np.stack(seen), np.stack(taken), np.stack(inside), observation))
-    seen, taken, inside, final = zip(*runs, strict=True)
     return Episodes(
         layout=env.layout,
-        observation=np.concatenate(seen, axis=1)[:, :episodes],
-        action=np.concatenate(taken, axis=1)[:, :episodes],
-        in_region=np.concatenate(inside, axis=1)[:, :episodes],
-        final_observation=np.concatenate(final)[:episodes],
+        observation=np.concatenate([run[0] for run in runs], axis=1)[:, :episodes],
+        action=np.concatenate([run[1] for run in runs], axis=1)[:, :episodes],
+        in_region=np.concatenate([run[2] for run in runs], axis=1)[:, :episodes],
+        final_observation=np.concatenate([run[3] for run in runs])[:episodes],
     )
 
 
@@ -131,8 +130,10 @@ def wilson_interval(successes: int, trials: int, z: float = Z_95) -> tuple[float
     centre = p + z * z / (2 * trials)
     half = z * math.sqrt(p * (1.0 - p) / trials + z * z / (4 * trials * trials))
     scale = 1.0 + z * z / trials
-    # Rounding may leave an exact bound by 1e-17.
-    return max(0.0, (centre - half) / scale), min(1.0, (centre + half) / scale)
+    # Exact where rounding would give 1e-17.
+    low = 0.0 if successes == 0 else (centre - half) / scale
+    high = 1.0 if successes == trials else (centre + half) / scale
+    return low, high
 
 
 def summarise(episodes: Episodes) -> dict[str, object]:

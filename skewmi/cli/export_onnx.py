@@ -1,0 +1,115 @@
+"""Write a run's policy as one self-describing ONNX file, verified against torch.
+
+Runs the policy in the simulation, compares onnxruntime with torch over the observations it met,
+and writes the file only if no action differs by more than 1e-5. Then the written file is loaded
+as a robot would load it, and runs the same episodes.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from skewmi.cli.policies import Which, load_run, make_env, progress_bar, task_options
+from skewmi.errors import NotFoundError, VerificationError
+from skewmi.export.rollout import run_episodes, summarise
+from skewmi.policy_io import PolicyLayout
+
+
+@dataclass(frozen=True)
+class ExportOnnxCommand:
+    """Options of `skewmi export-onnx`."""
+
+    run_dir: Annotated[Path, tyro.conf.Positional]
+    """Run directory of skewmi train."""
+    out: Path
+    """File to write."""
+    which: Which = "latest"
+    """Which checkpoint."""
+    episodes: int = 100
+    """Episodes to record observations in, and to compare the success rates over."""
+    seed: int = 0
+    """Seed of these episodes."""
+    num_envs: int = 0
+    """Environments stepped together; 0: as many as episodes, at most 50."""
+    num_threads: int = 0
+    """Threads that step them; 0: automatic."""
+    json: bool = False
+    """Print one JSON document instead of text."""
+
+
+def run_export_onnx(options: ExportOnnxCommand) -> int:
+    """Export. Returns 0 if the file was written, 1 if it differed from torch and was not."""
+    policy = load_run(options.run_dir, options.which)
+    try:
+        from skewmi.export.onnx_export import export_policy
+    except ModuleNotFoundError as error:
+        raise NotFoundError(f"exporting needs {error.name}: pip install 'skewmi[train]'") from error
+    from skewmi.deploy.policy import OnnxPolicy
+
+    layout = policy.layout
+    env = make_env(
+        layout.task,
+        options.num_envs,
+        options.episodes,
+        options.num_threads,
+        options.seed,
+        task_options(layout, policy.metadata),
+    )
+    with progress_bar("recording observations with torch") as progress:
+        recorded = run_episodes(policy, env, options.episodes, options.seed, progress=progress)
+    by_torch = summarise(recorded)
+    metadata = {
+        **robot_metadata(layout),
+        "evaluation": {**by_torch, "seed": options.seed, "num_envs": env.num_envs},
+    }
+    try:
+        report = export_policy(policy, options.out, recorded.observation, metadata=metadata)
+    except VerificationError as error:
+        print(f"skewmi export-onnx: {error}", file=sys.stderr)
+        return 1
+    with progress_bar("running the file") as progress:
+        written = OnnxPolicy.load(options.out)
+        repeated = run_episodes(written, env, options.episodes, options.seed, progress=progress)
+    by_onnx = summarise(repeated)
+    figures: dict[str, Any] = {
+        "path": str(report.path),
+        "size_bytes": report.size_bytes,
+        "sha256": report.sha256,
+        "layout_hash": report.layout_hash,
+        "observations": report.observations,
+        "max_difference": report.max_difference,
+        "episodes": by_torch["episodes"],
+        "success_rate_torch": by_torch["success_rate"],
+        "success_rate_onnx": by_onnx["success_rate"],
+        "torch": by_torch,
+        "onnx": by_onnx,
+    }
+    print(json.dumps(figures, indent=2) if options.json else as_text(figures))
+    return 0
+
+
+def robot_metadata(layout: PolicyLayout) -> dict[str, Any]:
+    """Which robot model a task's arm is; both None for a task without an arm."""
+    if layout.workspace is None:
+        return {"robot": None, "robot_model_hash": None}
+    from skewmi.robot_models import yumi
+
+    return {"robot": "yumi", "robot_model_hash": yumi.MODEL_HASH}
+
+
+def as_text(figures: dict[str, Any]) -> str:
+    """The figures of `run_export_onnx` for people."""
+    return (
+        f"{figures['path']}: {figures['size_bytes'] / 1024:.0f} KiB, "
+        f"sha256 {figures['sha256'][:16]}..., layout {figures['layout_hash'][:16]}...\n"
+        f"  onnxruntime and torch differ by at most {figures['max_difference']:.2g} over "
+        f"{figures['observations']} observations\n"
+        f"  success rate over {figures['episodes']} episodes: torch "
+        f"{figures['success_rate_torch']:.1%}, ONNX {figures['success_rate_onnx']:.1%}"
+    )

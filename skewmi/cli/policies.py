@@ -1,0 +1,111 @@
+"""What several commands need: a policy from a path, the environment it was made for, a bar."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from skewmi.batch_env import BatchEnv
+from skewmi.errors import ConfigurationError, NotFoundError
+from skewmi.policy_io import TIME_FIELD, Policy, PolicyLayout
+
+if TYPE_CHECKING:
+    from skewmi.train.checkpoint import TorchPolicy
+
+Which = Literal["latest", "best"]
+
+MAX_BATCH = 50
+"""Environments stepped together by default: enough to keep the threads busy, little memory."""
+
+
+def load_run(run_dir: Path, which: Which) -> TorchPolicy:
+    """The policy of a run directory; imports torch.
+
+    Raises:
+        NotFoundError: torch is not installed.
+        CheckpointError: The directory is not a run, or has no such checkpoint.
+    """
+    try:
+        from skewmi.train.checkpoint import load_policy
+    except ModuleNotFoundError as error:
+        raise NotFoundError(
+            f"reading a run directory needs {error.name}: pip install 'skewmi[train]'"
+        ) from error
+    return load_policy(run_dir, which=which)
+
+
+def load_policy_from(path: Path, which: Which) -> Policy:
+    """A policy from a run directory or from an ONNX file.
+
+    Raises:
+        NotFoundError: The path does not exist, or torch is needed and not installed.
+        PolicyFileError, LayoutMismatchError: It is a file, but no policy.
+        CheckpointError: It is a directory, but no run.
+    """
+    if path.is_dir():
+        return load_run(path, which)
+    if not path.exists():
+        raise NotFoundError(
+            f"{path} does not exist; give a run directory of skewmi train or an ONNX file of "
+            "skewmi export-onnx"
+        )
+    from skewmi.deploy.policy import OnnxPolicy
+
+    return OnnxPolicy.load(path)
+
+
+def task_options(layout: PolicyLayout, metadata: Mapping[str, Any]) -> dict[str, Any]:
+    """Options of `sim.tasks.make_batch` that give a policy the environment it was made for.
+
+    Training records them as "task_options"; a file without them at least says by its layout
+    whether it wants the time.
+    """
+    options = dict(metadata.get("task_options") or {})
+    if layout.observation_names[-1] == TIME_FIELD:
+        options.setdefault("time_input", True)
+    return options
+
+
+def make_env(
+    task: str, num_envs: int, episodes: int, num_threads: int, seed: int, options: dict[str, Any]
+) -> BatchEnv:
+    """The environment of an evaluation.
+
+    Args:
+        task: One of `sim.tasks.TASKS`.
+        num_envs: Environments stepped together; 0: as many as episodes, at most `MAX_BATCH`.
+        episodes: How many will be run.
+        num_threads: 0 chooses.
+        seed: Of everything random.
+        options: Of the task.
+
+    Raises:
+        ConfigurationError: A number is not allowed.
+        NotFoundError: There is no such task.
+    """
+    from skewmi.sim import tasks
+
+    if episodes < 1:
+        raise ConfigurationError(f"--episodes is {episodes}; at least 1 is needed")
+    if num_envs < 0:
+        raise ConfigurationError(f"--num-envs is {num_envs}; use 0 (automatic) or more")
+    n = num_envs or min(episodes, MAX_BATCH)
+    return tasks.make_batch(task, n, num_threads=num_threads, seed=seed, **options)
+
+
+@contextmanager
+def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
+    """A bar on standard error, drawn only for people: nothing when it is not a terminal.
+
+    Yields a function of (steps done, steps in all).
+    """
+    from rich.console import Console
+    from rich.progress import Progress
+
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not sys.stderr.isatty()) as progress:
+        bar = progress.add_task(what, total=None)
+        yield lambda done, total: progress.update(bar, completed=done, total=total)
