@@ -1,0 +1,301 @@
+"""What a chunk of joint motion must satisfy, restated on its own.
+
+This module imports nothing of the planner and trusts nobody: the daemon uses it before a chunk is
+sent and the endpoint uses it again before a chunk is executed.
+
+A chunk is a list of samples (q, v, a) on a time grid of step h that ends at rest. Besides the
+bounds on every sample, the samples must be consistent: they must be samples of ONE motion whose
+jerk stays within J. By Taylor's theorem such a motion satisfies, from each sample to the next and
+likewise backwards in time (h -> -h),
+
+    |a1 - a0|                        <= J h
+    |v1 - v0 - a0 h|                 <= J h^2 / 2
+    |q1 - q0 - v0 h - a0 h^2 / 2|    <= J h^3 / 6
+
+so a chunk cannot state harmless velocities beside positions that jump. Differences of the samples
+(first, second and third of q, and so on) are averages of v, a and jerk over the grid and must obey
+the same bounds; they are what a receiver that only reads positions will do with them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skewmi.errors import ConfigurationError, LimitViolationError
+from skewmi.policy_io import Workspace
+from skewmi.robot_models import yumi
+from skewmi.robot_models.limits import JointLimits
+
+Array = NDArray[np.float64]
+Forward = Callable[[Array], tuple[Array, Array]]
+
+GRID_DT = 0.004
+"""Grid step, s: the cycle of ABB's externally guided motion."""
+
+TCP_SPEED_LIMIT = 0.25
+"""Largest speed of the flange, m/s: "reduced speed" of ISO 10218-1. (ABB's own cap for the YuMi
+is `yumi.TCP_SPEED`, six times as much.)"""
+
+WORKSPACE_TOLERANCE = 0.005
+"""How far the hand may be outside the box that bounds its *command*, m: room for the deviation
+of a braking arm from the straight line."""
+
+MAX_SAMPLES = 1250
+"""Longest chunk, 5 s of motion; longer ones are refused unread."""
+
+ROUNDING = 1e-6
+"""Relative excess over a bound that is put down to floating point."""
+
+REST = 1e-9
+"""Velocity (rad/s) and acceleration (rad/s^2) below which an arm is at rest."""
+
+SPLICE_TOLERANCE = (1e-9, 1e-7, 1e-5)
+"""Largest difference of q, v, a (rad, rad/s, rad/s^2) between a chunk's first sample and the
+motion that it continues."""
+
+
+@dataclass(frozen=True)
+class LimitUsage:
+    """Largest use of each limit, as a fraction of it: 1.0 is the limit."""
+
+    position: float = 0.0
+    """Of the half range, from its middle."""
+    velocity: float = 0.0
+    acceleration: float = 0.0
+    jerk: float = 0.0
+    """By differences of the accelerations on the grid."""
+    tcp_speed: float = 0.0
+    workspace: float = 0.0
+    """Of the half width of the box (without tolerance), from its middle."""
+
+    def merged(self, other: LimitUsage) -> LimitUsage:
+        """The larger of both, limit by limit."""
+        return LimitUsage(
+            **{f.name: max(getattr(self, f.name), getattr(other, f.name)) for f in fields(self)}
+        )
+
+    def as_dict(self) -> dict[str, float]:
+        return asdict(self)
+
+
+class ChunkChecker:
+    """Checks chunks against one limit profile and, if given, one workspace box.
+
+    Args:
+        limits: Joint limits.
+        workspace: Box of the hand in the task world, or None to check joints only (the motion to
+            the start pose begins outside of the box).
+        forward: Tool pose in the robot base frame from joint angles, (n, 7) -> (n, 3),
+            (n, 3, 3); needed for box and tool speed, None leaves both out.
+        joint_names: Expected names, chain order.
+        grid_dt: Grid step, s.
+        tcp_speed: Largest tool speed, m/s.
+        workspace_tolerance: m.
+
+    Raises:
+        ConfigurationError: A workspace is given without `forward`, or a number is not positive.
+    """
+
+    def __init__(
+        self,
+        limits: JointLimits,
+        workspace: Workspace | None = None,
+        forward: Forward | None = None,
+        *,
+        joint_names: Sequence[str] = yumi.joint_names("right"),
+        grid_dt: float = GRID_DT,
+        tcp_speed: float = TCP_SPEED_LIMIT,
+        workspace_tolerance: float = WORKSPACE_TOLERANCE,
+    ) -> None:
+        if workspace is not None and forward is None:
+            raise ConfigurationError("a workspace can only be checked with forward kinematics")
+        for name, value in (("grid_dt", grid_dt), ("tcp_speed", tcp_speed)):
+            if not value > 0.0:
+                raise ConfigurationError(f"{name} is {value}; it must be positive")
+        self.limits = limits
+        self.joint_names = tuple(joint_names)
+        self.grid_dt = grid_dt
+        self._grid_ns = round(grid_dt * 1e9)
+        self._tcp_speed = tcp_speed
+        self._forward = forward
+        self._box: tuple[Array, Array] | None = None
+        if workspace is not None:
+            base = np.array(workspace.base_position)
+            self._box = np.array(workspace.low) - base, np.array(workspace.high) - base
+        self._tolerance = workspace_tolerance
+
+    def check(
+        self,
+        q: Array,
+        v: Array,
+        a: Array,
+        previous: tuple[Array, Array, Array] | None = None,
+        *,
+        joint_names: Sequence[str] | None = None,
+        time_from_start_ns: NDArray[np.int64] | None = None,
+    ) -> LimitUsage:
+        """Accept a chunk or raise.
+
+        Args:
+            q: Positions, rad. Shape (n, 7), n >= 2.
+            v: Velocities, rad/s. Shape (n, 7).
+            a: Accelerations, rad/s^2. Shape (n, 7).
+            previous: Position, velocity, acceleration, each (7,), of the motion in progress at
+                the time of the first sample; None for the first chunk, which must start at rest.
+            joint_names: As received; None if the chunk did not come over the wire.
+            time_from_start_ns: As received, shape (n,); None likewise.
+
+        Returns:
+            How much of each limit the chunk uses.
+
+        Raises:
+            LimitViolationError: Names the first limit that is broken.
+        """
+        if joint_names is not None:
+            self._check_names(joint_names)
+        self._check_form(q, v, a)
+        if time_from_start_ns is not None:
+            self._check_times(time_from_start_ns, len(q))
+        self._check_ends(q, v, a, previous)
+        usage = self._check_joints(q, v, a)
+        self._check_consistency(q, v, a)
+        return usage if self._forward is None else self._check_hand(q, usage)
+
+    def _check_names(self, names: Sequence[str]) -> None:
+        if tuple(names) != self.joint_names:
+            same = sum(a == b for a, b in zip(names, self.joint_names, strict=False))
+            raise LimitViolationError(
+                "joint names in place",
+                same,
+                len(self.joint_names),
+                f"got {list(names)[:10]}, expected {list(self.joint_names)}",
+            )
+
+    def _check_form(self, q: Array, v: Array, a: Array) -> None:
+        joints = len(self.joint_names)
+        for name, array in (("q", q), ("v", v), ("a", a)):
+            if array.ndim != 2 or array.shape[1] != joints or array.shape[0] != q.shape[0]:
+                raise LimitViolationError(
+                    "chunk shape", array.size, joints, f"{name} has shape {array.shape}"
+                )
+            if not np.isfinite(array).all():
+                raise LimitViolationError("finite numbers", float("nan"), 0.0, f"in {name}")
+        if not 2 <= len(q) <= MAX_SAMPLES:
+            raise LimitViolationError("chunk samples", len(q), MAX_SAMPLES, "at least 2")
+
+    def _check_times(self, times_ns: NDArray[np.int64], n: int) -> None:
+        if times_ns.shape != (n,):
+            raise LimitViolationError("chunk times", times_ns.size, n)
+        off = np.abs(times_ns - self._grid_ns * np.arange(n, dtype=np.int64))
+        if off.any():
+            raise LimitViolationError(
+                "time off the grid, ns", int(off.max()), 0, f"grid step {self._grid_ns} ns from 0"
+            )
+
+    def _check_ends(
+        self, q: Array, v: Array, a: Array, previous: tuple[Array, Array, Array] | None
+    ) -> None:
+        for name, array in (("velocity", v), ("acceleration", a)):
+            _require(f"{name} at the end", np.abs(array[-1]), np.full(7, REST), 0.0)
+        if previous is None:
+            for name, array in (("velocity", v), ("acceleration", a)):
+                _require(f"{name} at the first start", np.abs(array[0]), np.full(7, REST), 0.0)
+            return
+        parts = zip(
+            ("position", "velocity", "acceleration"),
+            (q, v, a),
+            previous,
+            SPLICE_TOLERANCE,
+            strict=True,
+        )
+        for name, array, expected, tolerance in parts:
+            jump = np.abs(array[0] - expected)
+            if not np.isfinite(jump).all():
+                raise LimitViolationError("finite numbers", float("nan"), 0.0, "previous motion")
+            _require(f"{name} jump at the splice", jump, np.full(7, tolerance), 0.0)
+
+    def _check_joints(self, q: Array, v: Array, a: Array) -> LimitUsage:
+        limits, h = self.limits, self.grid_dt
+        # Between two samples a position can exceed both by A h^2 / 8 at most.
+        bulge = limits.acceleration * h * h / 8.0
+        middle = (limits.position_upper + limits.position_lower) / 2.0
+        half = (limits.position_upper - limits.position_lower) / 2.0
+        excursion = np.abs(q - middle).max(axis=0) + bulge
+        worst = int(np.argmax(excursion - half))
+        if excursion[worst] > half[worst]:
+            k = int(np.argmax(np.abs(q[:, worst] - middle[worst])))
+            above = q[k, worst] > middle[worst]
+            bound = (limits.position_upper if above else limits.position_lower)[worst]
+            raise LimitViolationError(
+                "joint position", float(q[k, worst]), float(bound), f"joint index {worst}"
+            )
+        dv, da = np.diff(v, axis=0) / h, np.diff(a, axis=0) / h
+        dq = np.diff(q, axis=0) / h
+        velocity = np.maximum(_peak(v), _peak(dq))
+        acceleration = np.maximum(np.maximum(_peak(a), _peak(dv)), _peak(np.diff(dq, axis=0) / h))
+        jerk = np.maximum(
+            np.maximum(_peak(da), _peak(np.diff(dv, axis=0) / h)),
+            _peak(np.diff(dq, n=2, axis=0) / (h * h)),
+        )
+        _require("joint velocity", velocity, limits.velocity)
+        _require("joint acceleration", acceleration, limits.acceleration)
+        _require("joint jerk", jerk, limits.jerk)
+        return LimitUsage(
+            position=float((excursion / half).max()),
+            velocity=float((velocity / limits.velocity).max()),
+            acceleration=float((acceleration / limits.acceleration).max()),
+            jerk=float((_peak(da) / limits.jerk).max()),
+        )
+
+    def _check_consistency(self, q: Array, v: Array, a: Array) -> None:
+        jerk, h = self.limits.jerk, self.grid_dt
+        q0, q1, v0, v1, a0, a1 = q[:-1], q[1:], v[:-1], v[1:], a[:-1], a[1:]
+        # 1e-12 of absolute room: at 5 rad a double resolves 1e-15.
+        v_bound = jerk * h * h / 2.0 + 1e-12
+        _require("velocity against acceleration", _peak(v1 - v0 - a0 * h), v_bound)
+        _require("velocity against acceleration", _peak(v0 - v1 + a1 * h), v_bound)
+        q_bound = jerk * h**3 / 6.0 + 1e-12
+        half = h * h / 2.0
+        _require("position against velocity", _peak(q1 - q0 - v0 * h - a0 * half), q_bound)
+        _require("position against velocity", _peak(q0 - q1 + v1 * h - a1 * half), q_bound)
+
+    def _check_hand(self, q: Array, usage: LimitUsage) -> LimitUsage:
+        assert self._forward is not None
+        position, _ = self._forward(q)
+        steps = np.diff(position, axis=0)
+        speed = float(np.sqrt((steps * steps).sum(axis=1).max())) / self.grid_dt
+        if speed > self._tcp_speed:
+            raise LimitViolationError("tool speed, m/s", speed, self._tcp_speed)
+        use = LimitUsage(tcp_speed=speed / self._tcp_speed)
+        if self._box is not None:
+            low, high = self._box
+            outside = np.maximum(low - position, position - high)
+            worst = float(outside.max())
+            if worst > self._tolerance:
+                axis = "xyz"[int(np.argmax(outside.max(axis=0)))]
+                raise LimitViolationError(
+                    "distance outside the workspace, m", worst, self._tolerance, f"axis {axis}"
+                )
+            offset = np.abs(position - (low + high) / 2.0) / ((high - low) / 2.0)
+            use = LimitUsage(tcp_speed=use.tcp_speed, workspace=float(offset.max()))
+        return usage.merged(use)
+
+
+def _peak(array: Array) -> Array:
+    """Largest absolute value per joint; zero without rows. Shape (n, 7) -> (7,)."""
+    peak: Array = np.abs(array).max(axis=0, initial=0.0)
+    return peak
+
+
+def _require(limit: str, value: Array, bound: Array, rounding: float = ROUNDING) -> None:
+    """Raise for the joint with the largest excess, if any."""
+    excess = value - bound * (1.0 + rounding)
+    if (excess > 0.0).any():
+        worst = int(np.argmax(value / bound))
+        raise LimitViolationError(
+            limit, float(value[worst]), float(bound[worst]), f"joint index {worst}"
+        )
