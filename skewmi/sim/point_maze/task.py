@@ -62,6 +62,11 @@ class PointMazeBatch:
         self._position = np.zeros((self.num_envs, 2))
         self._step_index: int | None = None
 
+    @property
+    def position(self) -> Array:
+        """Where the points are, x and y in m, as a copy. Shape (num_envs, 2)."""
+        return self._position.copy()
+
     def reset(self, seed: int | None = None) -> Array:
         """Put every point at the start. See `BatchEnv.reset`."""
         if seed is not None:

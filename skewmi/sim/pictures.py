@@ -1,0 +1,89 @@
+"""One picture of one copy of a running task, for Gymnasium's `rgb_array`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+import mujoco
+
+from skewmi.batch_env import BatchEnv
+from skewmi.errors import ConfigurationError
+from skewmi.sim.offscreen import Image, make_renderer
+from skewmi.sim.point_maze.scene import MazePicture
+from skewmi.sim.point_maze.task import PointMazeBatch
+
+if TYPE_CHECKING:
+    from skewmi.sim.open_press_close.task import OpenPressCloseBatch
+
+
+class Camera(Protocol):
+    """Draws copies of one environment."""
+
+    def render(self, index: int) -> Image:
+        """Picture of copy `index` now. Shape (height, width, 3)."""
+
+    def close(self) -> None:
+        """Give the OpenGL context back."""
+
+
+def make_camera(env: BatchEnv, width: int, height: int) -> Camera:
+    """A camera for an environment.
+
+    Args:
+        env: Which environment.
+        width: Of the pictures, pixels.
+        height: Of the pictures, pixels.
+
+    Raises:
+        ConfigurationError: Nobody can draw this environment.
+    """
+    if isinstance(env, PointMazeBatch):
+        return MazeCamera(env, width, height)
+    # Imported here, so that the maze is drawn without loading the robot.
+    from skewmi.sim.open_press_close.task import OpenPressCloseBatch
+
+    if isinstance(env, OpenPressCloseBatch):
+        return BoxCamera(env, width, height)
+    raise ConfigurationError(f"cannot draw an environment of type {type(env).__name__}")
+
+
+class MazeCamera:
+    """The maze from above; satisfies `Camera`."""
+
+    def __init__(self, env: PointMazeBatch, width: int, height: int) -> None:
+        self._env = env
+        self._picture = MazePicture(width, height)
+
+    def render(self, index: int) -> Image:
+        """See `Camera.render`."""
+        return self._picture.render(self._env.position[index])
+
+    def close(self) -> None:
+        """See `Camera.close`."""
+        self._picture.close()
+
+
+class BoxCamera:
+    """Robot and box from the scene's own `overview` camera; satisfies `Camera`."""
+
+    def __init__(self, env: OpenPressCloseBatch, width: int, height: int) -> None:
+        self._env = env
+        self._size = (width, height)
+        self._data = mujoco.MjData(env.scene.model)
+        self._renderer: mujoco.Renderer | None = None
+
+    def render(self, index: int) -> Image:
+        """See `Camera.render`."""
+        if self._renderer is None:
+            self._renderer = make_renderer(self._env.scene.model, *self._size)
+        self._env.batch.get_data(index, self._data)
+        mujoco.mj_forward(self._env.scene.model, self._data)
+        self._renderer.update_scene(self._data, "overview")
+        image: Image = self._renderer.render()
+        return image
+
+    def close(self) -> None:
+        """See `Camera.close`."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
