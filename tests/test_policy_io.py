@@ -1,0 +1,376 @@
+"""Laws of the policy layout: JSON, hash, observation, reward region, command, success."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from skewmi.errors import ConfigurationError, LayoutMismatchError
+from skewmi.policy_io import (
+    ActionField,
+    Array,
+    Ball,
+    Field,
+    PolicyLayout,
+    Workspace,
+    assemble_observation,
+    episode_success,
+    first_success_step,
+    inside_region,
+    integrate_command,
+    require_same_layout,
+)
+
+WORKSPACE = Workspace(
+    low=(-0.019, -0.155, 0.19),
+    high=(0.001, 0.135, 0.355),
+    start=(-0.009, -0.1345, 0.27),
+    base_position=(-0.4, 0.0, 0.0),
+    hand_quaternion_wxyz=(0.0, math.sqrt(0.5), math.sqrt(0.5), 0.0),
+    max_lead=0.03,
+    start_configuration=(1.0, -2.0, -1.1, 0.1 + 0.2, 1e-17, 2.0 / 3.0, 5e-324),
+    gripper_opening=0.014,
+)
+LAYOUT = PolicyLayout(
+    task="box",
+    observation=(
+        Field("hand_x", "m", "world", -0.019, 0.001),
+        Field("lid_angle", "rad", "hinge", 0.0, 2.0 / 3.0),
+        Field("button_depth", "m", "slide", 0.0, 0.017),
+        Field("time", "", "episode", 0.0, 1.0),
+    ),
+    action=(
+        ActionField("velocity_x", "m", "world", 0.005),
+        ActionField("velocity_y", "m", "world", 0.015),
+        ActionField("velocity_z", "m", "world", 0.1 + 0.2),
+        ActionField("gripper", "m", "hand", 0.0025),
+    ),
+    reward_region=(
+        Ball(("lid_angle",), (0.0,), 0.05),
+        Ball(("hand_x", "button_depth"), (0.0, 0.0135), 0.0035),
+    ),
+    control_dt=0.1,
+    episode_steps=200,
+    success_hold_steps=10,
+    workspace=WORKSPACE,
+)
+
+finite = st.floats(allow_nan=False, allow_infinity=False)
+names = st.text(min_size=1, max_size=8).filter(lambda name: name != "time")
+
+
+@st.composite
+def fields(draw: st.DrawFn, name: str) -> Field:
+    low, high = sorted(draw(st.lists(finite, min_size=2, max_size=2, unique=True)))
+    return Field(name, draw(st.text(max_size=4)), draw(st.text(max_size=4)), low, high)
+
+
+@st.composite
+def workspaces(draw: st.DrawFn) -> Workspace:
+    def numbers(n: int) -> Any:
+        return tuple(draw(st.lists(finite, min_size=n, max_size=n)))
+
+    return Workspace(
+        *(numbers(3) for _ in range(4)), numbers(4), draw(finite), numbers(7), draw(finite)
+    )
+
+
+@st.composite
+def layouts(draw: st.DrawFn) -> PolicyLayout:
+    field_names = draw(st.lists(names, min_size=1, max_size=4, unique=True))
+    if draw(st.booleans()):
+        field_names.append("time")
+    in_ball = draw(st.lists(st.sampled_from(field_names), min_size=1, unique=True))
+    balls = st.builds(
+        Ball,
+        st.just(tuple(in_ball)),
+        st.tuples(*(finite for _ in in_ball)),
+        st.floats(0.0, 10.0),
+    )
+    positive = st.floats(min_value=0.0, exclude_min=True, allow_infinity=False)
+    actions = st.builds(ActionField, names, st.text(max_size=4), st.text(max_size=4), positive)
+    return PolicyLayout(
+        task=draw(names),
+        observation=tuple(draw(fields(name)) for name in field_names),
+        action=tuple(draw(st.lists(actions, min_size=1, max_size=4))),
+        reward_region=tuple(draw(st.lists(balls, max_size=3))),
+        control_dt=draw(positive),
+        episode_steps=draw(st.integers(1, 10**6)),
+        success_hold_steps=draw(st.integers(1, 10**6)),
+        workspace=draw(st.none() | workspaces()),
+    )
+
+
+@given(layouts())
+def test_json_round_trip_is_exact(layout: PolicyLayout) -> None:
+    again = PolicyLayout.from_json(layout.to_json())
+    assert again == layout
+    assert again.to_json() == layout.to_json()
+    assert again.hash() == layout.hash()
+
+
+@given(layouts())
+def test_hash_survives_another_json_writer(layout: PolicyLayout) -> None:
+    rewritten = json.dumps(json.loads(layout.to_json()), indent=3)
+    assert PolicyLayout.from_json(rewritten).hash() == layout.hash()
+
+
+def leaves(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """Paths to every number and text of a nested document."""
+    if isinstance(value, dict):
+        return [leaf for key in value for leaf in leaves(value[key], (*path, key))]
+    if isinstance(value, list):
+        return [leaf for i, item in enumerate(value) for leaf in leaves(item, (*path, i))]
+    return [path]
+
+
+DOCUMENT = json.loads(LAYOUT.to_json())
+
+
+def changed(path: tuple[Any, ...]) -> str:
+    """The document with one leaf changed as little as its type allows."""
+    document = json.loads(LAYOUT.to_json())
+    holder = document
+    for key in path[:-1]:
+        holder = holder[key]
+    old = holder[path[-1]]
+    if isinstance(old, str):
+        holder[path[-1]] = old + "'"
+    elif isinstance(old, int):
+        holder[path[-1]] = old + 1
+    else:
+        holder[path[-1]] = float(np.nextafter(old, np.inf))
+    return json.dumps(document)
+
+
+@pytest.mark.parametrize("path", leaves(DOCUMENT), ids=lambda path: ".".join(map(str, path)))
+def test_hash_sees_the_smallest_change_of_every_field(path: tuple[Any, ...]) -> None:
+    try:
+        other = PolicyLayout.from_json(changed(path))
+    except (ConfigurationError, LayoutMismatchError):
+        # Refused outright: another version, or a region of unknown fields.
+        assert path[0] == "layout_version" or {"name", "fields"} & set(path)
+        return
+    assert other.hash() != LAYOUT.hash()
+    with pytest.raises(LayoutMismatchError, match="the file was made for another layout"):
+        require_same_layout(LAYOUT, other, "the file")
+
+
+def test_document_has_every_field_of_the_dataclasses() -> None:
+    """So that the test above covers all of them, also those added later."""
+    for part, kind in (
+        (DOCUMENT, PolicyLayout),
+        (DOCUMENT["observation"][0], Field),
+        (DOCUMENT["action"][0], ActionField),
+        (DOCUMENT["reward_region"][0], Ball),
+        (DOCUMENT["workspace"], Workspace),
+    ):
+        assert {f.name for f in dataclasses.fields(kind)} == set(part) - {"layout_version"}
+
+
+@pytest.mark.parametrize("part", ["observation", "action", "reward_region"])
+def test_hash_depends_on_order(part: str) -> None:
+    parts = list(getattr(LAYOUT, part))
+    parts[0], parts[1] = parts[1], parts[0]
+    assert dataclasses.replace(LAYOUT, **{part: tuple(parts)}).hash() != LAYOUT.hash()
+
+
+def test_mismatch_names_what_differs() -> None:
+    other = dataclasses.replace(LAYOUT, control_dt=0.05)
+    with pytest.raises(LayoutMismatchError, match=r"control_dt: expected 0\.1, got 0\.05"):
+        require_same_layout(LAYOUT, other, "policy.onnx")
+    require_same_layout(LAYOUT, PolicyLayout.from_json(LAYOUT.to_json()), "policy.onnx")
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "[]", "null", "3", '"x"', "{}", '{"layout_version": 1}', "{" * 10]
+    + [json.dumps({**DOCUMENT, "layout_version": 2})]
+    + [json.dumps({**DOCUMENT, "extra": 1})]
+    + [json.dumps({key: DOCUMENT[key] for key in DOCUMENT if key != removed})
+       for removed in DOCUMENT],
+)  # fmt: skip
+def test_what_is_no_layout_is_refused(text: str) -> None:
+    with pytest.raises(LayoutMismatchError):
+        PolicyLayout.from_json(text)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"control_dt": 0.0},
+        {"control_dt": math.nan},
+        {"episode_steps": 0},
+        {"success_hold_steps": 0},
+        {"observation": LAYOUT.observation + LAYOUT.observation},
+        {"observation": LAYOUT.observation[::-1]},
+        {"reward_region": (Ball(("nobody",), (0.0,), 1.0),)},
+    ],
+)
+def test_impossible_layouts_are_refused(change: dict[str, Any]) -> None:
+    with pytest.raises(ConfigurationError):
+        dataclasses.replace(LAYOUT, **change)
+
+
+@pytest.mark.parametrize("bounds", [(1.0, 1.0), (1.0, 0.0), (math.nan, 1.0), (0.0, math.nan)])
+def test_empty_ranges_are_refused(bounds: tuple[float, float]) -> None:
+    with pytest.raises(ConfigurationError):
+        Field("x", "m", "world", *bounds)
+
+
+@pytest.mark.parametrize("scale", [0.0, -1.0, math.nan])
+def test_scales_that_are_not_positive_are_refused(scale: float) -> None:
+    with pytest.raises(ConfigurationError):
+        ActionField("x", "m", "world", scale)
+
+
+def test_state_is_the_observation_without_time() -> None:
+    assert LAYOUT.observation_dim == 4
+    assert LAYOUT.state_dim == 3
+    assert [field.name for field in LAYOUT.state_fields] == ["hand_x", "lid_angle", "button_depth"]
+
+
+@given(hnp.arrays(np.float64, (5, 4), elements=finite), st.permutations(LAYOUT.observation_names))
+def test_observation_follows_the_layout_whatever_the_order_given(
+    rows: Array, order: list[str]
+) -> None:
+    column = {name: i for i, name in enumerate(LAYOUT.observation_names)}
+    batched = assemble_observation(LAYOUT, {name: rows[:, column[name]] for name in order})
+    np.testing.assert_array_equal(batched, rows)
+    for row in rows:
+        single = assemble_observation(LAYOUT, {name: row[column[name]] for name in order})
+        np.testing.assert_array_equal(single, row)
+
+
+def test_observation_broadcasts_scalars_ignores_others_and_names_what_is_missing() -> None:
+    values = {"hand_x": np.arange(3.0), "lid_angle": 1.0, "button_depth": 2.0, "time": 0.5}
+    observation = assemble_observation(LAYOUT, values | {"unused": 9.0})
+    np.testing.assert_array_equal(observation, [[i, 1.0, 2.0, 0.5] for i in range(3)])
+    del values["lid_angle"]
+    with pytest.raises(LayoutMismatchError, match="lid_angle"):
+        assemble_observation(LAYOUT, values)
+
+
+coordinates = st.floats(-0.1, 0.1)
+
+
+@given(hnp.arrays(np.float64, (6, 3), elements=coordinates))
+def test_region_is_the_intersection_of_its_balls(states: Array) -> None:
+    expected = [
+        abs(lid) <= 0.05 and math.hypot(x, depth - 0.0135) <= 0.0035 for x, lid, depth in states
+    ]
+    np.testing.assert_array_equal(inside_region(LAYOUT, states), expected)
+    observations = np.concatenate([states, np.ones((6, 1))], axis=1)
+    np.testing.assert_array_equal(inside_region(LAYOUT, observations), expected)
+    np.testing.assert_array_equal(
+        inside_region(LAYOUT, states.reshape(2, 3, 3)), np.reshape(expected, (2, 3))
+    )
+
+
+@given(hnp.arrays(np.float64, (4, 3), elements=coordinates), st.data())
+def test_more_balls_never_make_the_region_larger(states: Array, data: st.DataObject) -> None:
+    fewer = data.draw(st.lists(st.sampled_from(LAYOUT.reward_region), min_size=1, unique=True))
+    smaller_region = dataclasses.replace(LAYOUT, reward_region=LAYOUT.reward_region)
+    larger_region = dataclasses.replace(LAYOUT, reward_region=tuple(fewer))
+    assert (inside_region(smaller_region, states) <= inside_region(larger_region, states)).all()
+
+
+@given(hnp.arrays(np.float64, (4, 3), elements=coordinates))
+def test_no_region_means_outside_and_nan_is_outside(states: Array) -> None:
+    nowhere = dataclasses.replace(LAYOUT, reward_region=())
+    assert not inside_region(nowhere, states).any()
+    states[:, 1] = np.nan
+    assert not inside_region(LAYOUT, states).any()
+
+
+positions = hnp.arrays(np.float64, (5, 3), elements=st.floats(-0.5, 0.5))
+actions = hnp.arrays(np.float64, (5, 4), elements=st.floats(-3.0, 3.0))
+inside_box = st.tuples(
+    *(st.floats(low, high) for low, high in zip(WORKSPACE.low, WORKSPACE.high, strict=True))
+).map(np.array)
+
+
+@given(positions, actions, positions)
+def test_command_stays_in_the_box(command: Array, action: Array, hand: Array) -> None:
+    target = integrate_command(LAYOUT, command, action, hand)
+    assert (target >= WORKSPACE.low).all()
+    assert (target <= WORKSPACE.high).all()
+
+
+@given(positions, actions, inside_box)
+def test_command_leads_the_hand_by_no_more_than_allowed(
+    command: Array, action: Array, hand: Array
+) -> None:
+    """From inside the box, clipping to it only shortens the lead: a box is convex."""
+    lead = integrate_command(LAYOUT, command, action, hand) - hand
+    assert (np.linalg.norm(lead, axis=-1) <= WORKSPACE.max_lead + 1e-12).all()
+
+
+@given(inside_box, st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=4))
+def test_small_step_from_the_hand_is_the_scaled_action(hand: Array, action: list[float]) -> None:
+    small = 0.02 * np.array(action)
+    target = integrate_command(LAYOUT, hand, small, hand)
+    free = hand + small[:3] * LAYOUT.action_scale[:3]
+    np.testing.assert_allclose(target, np.clip(free, WORKSPACE.low, WORKSPACE.high), atol=1e-15)
+
+
+@given(positions, actions, positions)
+def test_command_clips_the_action_and_ignores_the_gripper(
+    command: Array, action: Array, hand: Array
+) -> None:
+    target = integrate_command(LAYOUT, command, action, hand)
+    clipped = np.clip(action, -1.0, 1.0)
+    np.testing.assert_array_equal(integrate_command(LAYOUT, command, clipped, hand), target)
+    np.testing.assert_array_equal(integrate_command(LAYOUT, command, action[:, :3], hand), target)
+
+
+@given(positions, actions, positions)
+def test_command_of_a_batch_is_that_of_its_rows(command: Array, action: Array, hand: Array) -> None:
+    batch = integrate_command(LAYOUT, command, action, hand)
+    for i in range(len(batch)):
+        row = integrate_command(LAYOUT, command[i], action[i], hand[i])
+        np.testing.assert_allclose(row, batch[i], rtol=0.0, atol=1e-15)
+
+
+def test_command_needs_a_workspace() -> None:
+    layout = dataclasses.replace(LAYOUT, workspace=None)
+    with pytest.raises(ConfigurationError, match="workspace"):
+        integrate_command(layout, np.zeros(3), np.zeros(4), np.zeros(3))
+
+
+steps_inside = hnp.arrays(np.bool_, st.tuples(st.integers(0, 30), st.integers(1, 4)))
+
+
+@given(steps_inside, st.integers(1, 6))
+def test_success_is_a_run_of_steps_inside(in_region: Any, hold: int) -> None:
+    layout = dataclasses.replace(LAYOUT, success_hold_steps=hold)
+    first = first_success_step(layout, in_region)
+    texts = ["".join("I" if inside else "." for inside in column) for column in in_region.T]
+    for step, text in zip(first, texts, strict=True):
+        begin = text.find("I" * hold)
+        assert step == (begin + hold if begin >= 0 else -1)
+    np.testing.assert_array_equal(episode_success(layout, in_region), first > 0)
+
+
+@given(steps_inside, st.integers(1, 6))
+def test_longer_hold_never_succeeds_earlier(in_region: Any, hold: int) -> None:
+    short = dataclasses.replace(LAYOUT, success_hold_steps=hold)
+    long = dataclasses.replace(LAYOUT, success_hold_steps=hold + 1)
+    assert (episode_success(long, in_region) <= episode_success(short, in_region)).all()
+    both = episode_success(long, in_region)
+    first_short, first_long = (first_success_step(x, in_region)[both] for x in (short, long))
+    assert (first_short < first_long).all()
+
+
+def test_success_of_one_episode() -> None:
+    layout = dataclasses.replace(LAYOUT, success_hold_steps=2)
+    assert first_success_step(layout, np.array([True, False, True, True, True])) == 4
+    assert not episode_success(layout, np.array([True, False, True]))
