@@ -23,6 +23,7 @@ from typing import Literal
 import numpy as np
 
 from skewmi.cli import doctor_probes
+from skewmi.errors import ConfigurationError
 
 DEFAULT_PORT = 7447
 """Where the robot endpoint listens by default, and Zenoh's usual port."""
@@ -55,6 +56,8 @@ class Check:
 
 def run_doctor(options: DoctorCommand) -> int:
     """Run all checks and print them. Returns 1 if one found an error, else 0."""
+    if not 0 < options.port < 65536:
+        raise ConfigurationError(f"--port is {options.port}; it must be in 1..65535")
     checks = []
     for check in all_checks(options.port, quick=options.quick):
         if not options.json and sys.stderr.isatty():
@@ -168,7 +171,7 @@ def _port(port: int) -> Check:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind(("127.0.0.1", port))
-        except (OSError, OverflowError) as error:
+        except OSError as error:
             return Check(
                 "port", "warning", f"127.0.0.1:{port}: {error}", "an endpoint runs? else --port"
             )
