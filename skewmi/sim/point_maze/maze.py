@@ -86,15 +86,11 @@ def is_free(position: Array) -> NDArray[np.bool_]:
         Shape (...). False for what is not finite.
     """
     position = np.asarray(position, dtype=np.float64)
-    finite = np.isfinite(position[..., 0]) & np.isfinite(position[..., 1])
-    column = np.where(finite, position[..., 0], -1e3) / CELL_SIZE + (START_CELL[1] + 0.5)
-    row = np.where(finite, position[..., 1], -1e3) / CELL_SIZE + (START_CELL[0] + 0.5)
-    # On the line between two cells a point touches both: it is free only if both are.
-    below = _cell_is_free(np.ceil(row) - 1.0, np.ceil(column) - 1.0)
-    above = _cell_is_free(np.floor(row), np.floor(column))
-    across = _cell_is_free(np.ceil(row) - 1.0, np.floor(column))
-    along = _cell_is_free(np.floor(row), np.ceil(column) - 1.0)
-    free: NDArray[np.bool_] = finite & below & above & across & along
+    x, y = position[..., 0], position[..., 1]
+    (x_low, y_low), (x_high, y_high) = _WALLS[:, :2].min(axis=0), _WALLS[:, 2:].max(axis=0)
+    free: NDArray[np.bool_] = (x > x_low) & (x < x_high) & (y > y_low) & (y < y_high)
+    for x_low, y_low, x_high, y_high in _WALLS:
+        free &= (x < x_low) | (x > x_high) | (y < y_low) | (y > y_high)
     return free
 
 
@@ -141,10 +137,4 @@ def wall_rectangles() -> Array:
     return scaled
 
 
-def _cell_is_free(row: Array, column: Array) -> NDArray[np.bool_]:
-    rows, columns = FREE_CELLS.shape
-    inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-    row_index = np.clip(row, 0, rows - 1).astype(np.intp)
-    column_index = np.clip(column, 0, columns - 1).astype(np.intp)
-    free: NDArray[np.bool_] = inside & FREE_CELLS[row_index, column_index]
-    return free
+_WALLS = wall_rectangles()
