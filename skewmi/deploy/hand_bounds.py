@@ -1,0 +1,77 @@
+"""What the hand may do in space, derived from what the joints may do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from skewmi.errors import ConfigurationError
+from skewmi.policy_io import Workspace
+from skewmi.robot_models.frames import rotation_from_quaternion
+from skewmi.robot_models.kinematics import ArmKinematics, require_converged
+from skewmi.robot_models.limits import JointLimits
+
+MAX_ACCELERATION = 2.0
+"""Per axis, m/s^2."""
+
+MAX_JERK = 40.0
+"""Per axis, m/s^3. With `MAX_ACCELERATION` it is what followed 150 mm/s well in trials."""
+
+SHARE = 0.8
+"""Part of the joint limits that the shaped hand motion may ask for; the rest is for feedback,
+posture and the curvature of the arm."""
+
+TCP_SHARE = 0.9
+"""Part of the tool's speed limit that the shaped command may use; the rest is for feedback."""
+
+START_TOLERANCE = 5e-3
+"""Largest distance between the workspace's start and its start configuration's hand, m."""
+
+
+@dataclass(frozen=True)
+class HandBounds:
+    """Speed (norm, m/s), acceleration and jerk (per axis, m/s^2, m/s^3) of the shaped command."""
+
+    speed: float
+    acceleration: float
+    jerk: float
+
+
+def derive_hand_bounds(
+    workspace: Workspace, kinematics: ArmKinematics, limits: JointLimits, tcp_speed: float
+) -> HandBounds:
+    """Bounds that the joints can follow everywhere in the box.
+
+    With J^+ the pseudo-inverse of the Jacobian (constant orientation, so its first three columns
+    count), a hand acceleration u asks for joint accelerations J^+ u, up to terms in v^2. If all
+    three axes may use the acceleration alpha at once, joint j needs alpha sum_i |J^+_ji|. The
+    largest over start and corners of the box and over all joints decides; likewise for jerk. The
+    speed is bounded as a norm, so there the rows' 2-norms count.
+
+    Raises:
+        ConfigurationError: The start configuration does not put the hand at the start.
+        KinematicsError: A corner of the box cannot be reached.
+    """
+    rotation = rotation_from_quaternion(workspace.hand_quaternion_wxyz)
+    base = np.array(workspace.base_position)
+    start = np.array(workspace.start_configuration, dtype=np.float64)
+    position, _ = kinematics.forward(start)
+    distance = float(np.linalg.norm(position + base - np.array(workspace.start)))
+    if distance > START_TOLERANCE:
+        raise ConfigurationError(
+            f"the start configuration puts the hand {1e3 * distance:.1f} mm away from the start "
+            f"position, allowed are {1e3 * START_TOLERANCE:.1f} mm; correct the task's layout"
+        )
+    corners = np.array(np.meshgrid(*zip(workspace.low, workspace.high, strict=True)))
+    points = np.vstack([corners.reshape(3, 8).T, np.array(workspace.start)]) - base
+    result = kinematics.inverse(points, rotation, start, max_iterations=50)
+    require_converged(result)
+    inverse = np.abs(np.linalg.pinv(kinematics.jacobian(result.q))[:, :, :3])
+    per_axis = inverse.sum(axis=2).max(axis=0)
+    norm = np.linalg.norm(inverse, axis=2).max(axis=0)
+    return HandBounds(
+        speed=min(TCP_SHARE * tcp_speed, SHARE * float((limits.velocity / norm).min())),
+        acceleration=min(MAX_ACCELERATION, SHARE * float((limits.acceleration / per_axis).min())),
+        jerk=min(MAX_JERK, SHARE * float((limits.jerk / per_axis).min())),
+    )

@@ -1,0 +1,69 @@
+"""Joint motion that follows wanted joint velocities with bounded acceleration and jerk."""
+
+from __future__ import annotations
+
+import numpy as np
+import ruckig
+
+from skewmi.deploy.brake import Array, Stop, approach_speed, plan_stop
+from skewmi.robot_models.limits import JointLimits
+
+HEADROOM = 0.999
+"""Part of each bound that is used, so that rounding never shows as 100.0000001 %."""
+
+POSITION_MARGIN = 2e-3
+"""Distance that plans keep from the position bounds of the limit profile, rad."""
+
+
+class JointShaper:
+    """State (q, v, a) of the planned arm, moved one grid step at a time.
+
+    The velocity interface of ruckig knows bounds on acceleration and jerk only. The bound on
+    velocity holds because every target is inside it and because a velocity that moves
+    monotonically towards a target does not pass it; the bounds on position hold because of
+    `velocity_bounds` and, provably, the check of stops in the planner.
+
+    Args:
+        limits: Joint limits.
+        grid_dt: Grid step, s.
+    """
+
+    def __init__(self, limits: JointLimits, grid_dt: float) -> None:
+        self.lower = limits.position_lower + POSITION_MARGIN
+        self.upper = limits.position_upper - POSITION_MARGIN
+        self.velocity = HEADROOM * limits.velocity
+        self.acceleration = HEADROOM * limits.acceleration
+        self.jerk = HEADROOM * limits.jerk
+        self._grid_dt = grid_dt
+        joints = self.velocity.size
+        self._otg = ruckig.Ruckig(joints)
+        self._trajectory = ruckig.Trajectory(joints)
+        self._input = ruckig.InputParameter(joints)
+        self._input.control_interface = ruckig.ControlInterface.Velocity
+        self._input.synchronization = ruckig.Synchronization.Phase
+        self._input.max_acceleration = self.acceleration.tolist()
+        self._input.max_jerk = self.jerk.tolist()
+        self.q, self.v, self.a = np.zeros(joints), np.zeros(joints), np.zeros(joints)
+
+    def restore(self, q: Array, v: Array, a: Array) -> None:
+        self.q, self.v, self.a = q.copy(), v.copy(), a.copy()
+
+    def velocity_bounds(self) -> tuple[Array, Array]:
+        """Lowest and highest velocity to aim for here; zero lies between. Each (7,), rad/s."""
+        up = approach_speed(self.upper - self.q, self.acceleration, self.jerk)
+        down = approach_speed(self.q - self.lower, self.acceleration, self.jerk)
+        return -np.minimum(self.velocity, down), np.minimum(self.velocity, up)
+
+    def step(self, wanted_velocity: Array) -> None:
+        """Advance by one grid step with the velocity moving towards `wanted_velocity`, (7,)."""
+        low, high = self.velocity_bounds()
+        self._input.current_position = self.q.tolist()
+        self._input.current_velocity = self.v.tolist()
+        self._input.current_acceleration = self.a.tolist()
+        self._input.target_velocity = np.clip(wanted_velocity, low, high).tolist()
+        self._otg.calculate(self._input, self._trajectory)
+        self.q, self.v, self.a = np.array(self._trajectory.at_time(self._grid_dt))
+
+    def stop(self) -> Stop:
+        """The fastest stop from here."""
+        return plan_stop(self.q, self.v, self.a, self.acceleration, self.jerk)

@@ -1,0 +1,285 @@
+"""From commanded hand positions to chunks of joint motion that always end at rest.
+
+    target (10 Hz) -> Cartesian shaper -> inverse kinematics -> joint shaper -> braking tail
+
+`docs/planner.md` has the maths. Everything but the braking tail advances on the 4 ms grid, five
+steps per 20 ms cycle. Usage, once per cycle:
+
+    planner.set_target(position_w, duration_s)    # when the policy has acted
+    chunk = planner.step()                        # always
+
+**A verified stop always exists.** A chunk is its first sample (where the previous chunk is then),
+the new samples, and the fastest stop from the last of them. It is published only if all of it,
+between the samples too, lies inside the position limits, and its samples inside the box (with
+tolerance) and the tool's speed limit. Otherwise `step` returns the rest of the previous chunk, of
+which the same is known: by induction there is always a stop that has been checked.
+
+No lock-up: near a joint bound or a face of the box the velocities are cut beforehand to what can
+be stopped, so that the check rarely fails; when it does, the shaped command is put back to where
+the braking hand is, and motion away from the obstacle starts from there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from skewmi.deploy import limits as chunk_limits
+from skewmi.deploy.brake import Array
+from skewmi.deploy.cartesian_shaper import CartesianShaper, Reference
+from skewmi.deploy.differential_ik import DifferentialIk
+from skewmi.deploy.hand_bounds import derive_hand_bounds
+from skewmi.deploy.joint_shaper import JointShaper
+from skewmi.errors import ConfigurationError, KinematicsError, LimitViolationError
+from skewmi.policy_io import Workspace
+from skewmi.robot_models.frames import rotation_from_quaternion, rotation_vector
+from skewmi.robot_models.kinematics import ArmKinematics
+from skewmi.robot_models.limits import JointLimits
+
+MAX_START_TILT = 0.1
+"""Largest angle between the hand and its constant orientation at `reset`, rad."""
+
+LEASH = 0.010
+"""How far the shaped command may run ahead of the planned hand, m."""
+
+TOLERANCE_SHARE = 0.95
+"""Part of the checker's workspace tolerance and tool speed that plans use."""
+
+
+@dataclass(frozen=True)
+class PlannedChunk:
+    """Samples on the grid: the present state, the next cycle, and a stop; each (n, 7)."""
+
+    q: Array
+    """rad"""
+    v: Array
+    """rad/s; zero in the last row"""
+    a: Array
+    """rad/s^2; zero in the last row"""
+    continued: str | None = None
+    """Why this is the rest of the previous chunk and nothing new; None normally."""
+
+    def state(self, index: int) -> tuple[Array, Array, Array]:
+        """Position, velocity, acceleration at a sample; at rest after the last."""
+        index = min(index, len(self.q) - 1)
+        return self.q[index], self.v[index], self.a[index]
+
+    def rest_of(self, index: int, at_least: int, reason: str) -> PlannedChunk:
+        """This chunk from a sample on, with rest appended up to `at_least` samples."""
+        rows = np.minimum(np.arange(index, max(len(self.q), index + at_least)), len(self.q) - 1)
+        return PlannedChunk(self.q[rows], self.v[rows], self.a[rows], reason)
+
+
+class Planner:
+    """Plans the right arm's motion; one instance per episode or longer.
+
+    Args:
+        workspace: Box, orientation and start of the hand.
+        limits: Joint limits (already scaled to the wanted speed).
+        cycle_dt: Time between two `step`, s; a multiple of `grid_dt`.
+        grid_dt: Time between two samples, s.
+        tcp_speed: The checker's limit on the tool's speed, m/s; plans stay below.
+        workspace_tolerance: The checker's tolerance, m; plans stay below.
+
+    Raises:
+        ConfigurationError: The times do not fit, or the start configuration does not belong to
+            the start position.
+        KinematicsError: A corner of the box cannot be reached.
+    """
+
+    def __init__(
+        self,
+        workspace: Workspace,
+        limits: JointLimits,
+        *,
+        cycle_dt: float = 0.02,
+        grid_dt: float = chunk_limits.GRID_DT,
+        tcp_speed: float = chunk_limits.TCP_SPEED_LIMIT,
+        workspace_tolerance: float = chunk_limits.WORKSPACE_TOLERANCE,
+    ) -> None:
+        self.samples_per_cycle = round(cycle_dt / grid_dt)
+        if self.samples_per_cycle < 1 or abs(self.samples_per_cycle * grid_dt - cycle_dt) > 1e-9:
+            raise ConfigurationError(
+                f"cycle_dt {cycle_dt} s must be a multiple of grid_dt {grid_dt} s"
+            )
+        self.limits = limits
+        self.workspace = workspace
+        self._grid_dt = grid_dt
+        self._base = np.array(workspace.base_position)
+        self._low, self._high = np.array(workspace.low), np.array(workspace.high)
+        self._rotation = rotation_from_quaternion(workspace.hand_quaternion_wxyz)
+        self._tolerance = TOLERANCE_SHARE * workspace_tolerance
+        self._tcp_speed = TOLERANCE_SHARE * tcp_speed
+        self._kinematics = ArmKinematics("right")
+        posture = np.array(workspace.start_configuration)
+        self.hand_bounds = derive_hand_bounds(workspace, self._kinematics, limits, tcp_speed)
+        self._ik = DifferentialIk(posture, self._rotation, grid_dt)
+        self._joints = JointShaper(limits, grid_dt)
+        self._hand = CartesianShaper(
+            self._low,
+            self._high,
+            speed=self.hand_bounds.speed,
+            acceleration=self.hand_bounds.acceleration,
+            jerk=self.hand_bounds.jerk,
+            grid_dt=grid_dt,
+        )
+        self._reference = Reference(np.array(workspace.start))
+        self._chunk: PlannedChunk | None = None
+
+    @property
+    def command_position(self) -> Array:
+        """The commanded position now, on its way to the target, world, m. Shape (3,)."""
+        return self._reference.position_w.copy()
+
+    @property
+    def shaped_position(self) -> Array:
+        """The shaped command at the end of the planned cycle, world, m. Shape (3,)."""
+        return self._hand.position_w.copy()
+
+    @property
+    def present(self) -> tuple[Array, Array, Array]:
+        """Planned q, v, a at the end of the planned cycle, where the next chunk starts."""
+        return self._joints.q.copy(), self._joints.v.copy(), self._joints.a.copy()
+
+    def reset(self, q: Array) -> None:
+        """Start planning from rest at a configuration.
+
+        Args:
+            q: rad. Shape (7,).
+
+        Raises:
+            LimitViolationError: `q` is not finite or outside the position limits.
+            KinematicsError: The hand is outside the box or does not point down there.
+        """
+        q = np.array(q, dtype=np.float64)
+        if q.shape != (7,) or not np.isfinite(q).all():
+            raise LimitViolationError("finite numbers", float("nan"), 0.0, f"configuration {q}")
+        beyond = np.maximum(self._joints.lower - q, q - self._joints.upper)
+        if (beyond > 0.0).any():
+            worst = int(np.argmax(beyond))
+            below = q[worst] < self._joints.lower[worst]
+            bound = self._joints.lower if below else self._joints.upper
+            raise LimitViolationError(
+                "joint position", float(q[worst]), float(bound[worst]), f"joint index {worst}"
+            )
+        position, rotation = self._kinematics.forward(q)
+        outside = self._outside(position + self._base)
+        tilt = float(np.linalg.norm(rotation_vector(rotation.T @ self._rotation)))
+        if outside > self._tolerance or tilt > MAX_START_TILT:
+            raise KinematicsError(
+                f"the hand is {1e3 * max(outside, 0.0):.1f} mm outside of the workspace and tilted "
+                f"by {np.degrees(tilt):.1f} deg; at most {1e3 * self._tolerance:.1f} mm and "
+                f"{np.degrees(MAX_START_TILT):.1f} deg are allowed; move to the start first"
+            )
+        rest = np.zeros(7)
+        self._joints.restore(q, rest, rest)
+        self._hand.reseed(position + self._base, np.zeros(3))
+        self._reference = Reference(self._hand.position_w)
+        rows = self.samples_per_cycle + 1
+        self._chunk = PlannedChunk(
+            np.tile(q, (rows, 1)), np.zeros((rows, 7)), np.zeros((rows, 7)), "reset"
+        )
+
+    def set_target(self, position_w: Array, duration_s: float) -> None:
+        """Command the hand to a position, to be reached at constant velocity.
+
+        Call it once per policy step with the policy's next commanded position
+        (`policy_io.integrate_command`) and the step's duration. The executed path follows this
+        command with about 70 ms of lag and settles on its last position when no more come.
+
+        Args:
+            position_w: World, m; clipped to the workspace box. Shape (3,).
+            duration_s: Time until it should be there, s. Longer than the control step for a
+                slowed-down execution.
+
+        Raises:
+            LimitViolationError: A number is not finite, or the duration not positive.
+        """
+        target = np.asarray(position_w, dtype=np.float64)
+        if target.shape != (3,) or not np.isfinite(target).all():
+            raise LimitViolationError("finite numbers", float("nan"), 0.0, f"target {position_w}")
+        if not (np.isfinite(duration_s) and duration_s > 0.0):
+            raise LimitViolationError("target duration, s", float(duration_s), 0.0)
+        self._reference.set_target(np.clip(target, self._low, self._high), duration_s)
+
+    def step(self, splice: int | None = None) -> PlannedChunk:
+        """Plan the next cycle.
+
+        Args:
+            splice: Sample of the previous chunk at which this one starts; None for one cycle
+                later. A larger number is what a late caller needs: the arm has then begun to
+                brake on the previous chunk.
+
+        Returns:
+            A chunk whose first sample equals that sample exactly and that ends at rest.
+
+        Raises:
+            ConfigurationError: `reset` was never called, or `splice` is negative.
+        """
+        if self._chunk is None:
+            raise ConfigurationError("a planner must be reset before it can step")
+        previous = self._chunk
+        at = self.samples_per_cycle if splice is None else splice
+        if at < 0:
+            raise ConfigurationError(f"splice is {at}; it must not be negative")
+        if at != self.samples_per_cycle:
+            self._resume(previous, at)
+        start = self._joints.q, self._joints.v, self._joints.a
+        samples = [start]
+        for _ in range(self.samples_per_cycle):
+            self._grid_step()
+            samples.append((self._joints.q, self._joints.v, self._joints.a))
+        tail = self._joints.stop()
+        rows = np.array(samples)
+        q, v, a = (
+            np.concatenate([rows[:, i], samples_i])
+            for i, samples_i in enumerate(tail.sample(self._grid_dt))
+        )
+        chunk = PlannedChunk(q, v, a)
+        reason = self._breach(chunk, tail.extent())
+        if reason is not None:
+            chunk = previous.rest_of(at, self.samples_per_cycle + 1, reason)
+            self._resume(chunk, self.samples_per_cycle)
+        self._chunk = chunk
+        return chunk
+
+    def _grid_step(self) -> None:
+        joints, hand = self._joints, self._hand
+        at = self._ik.place(joints.q) + self._base
+        error_w = hand.position_w
+        self._reference.advance(self._grid_dt)
+        hand.step(self._reference, at, LEASH)
+        low, high = joints.velocity_bounds()
+        wanted = self._ik.solve(error_w - self._base, hand.velocity_w, low, high)
+        joints.step(np.zeros(7) if wanted is None else wanted)
+
+    def _resume(self, chunk: PlannedChunk, index: int) -> None:
+        """Continue from a sample of a chunk, and command the hand where it then is."""
+        q, v, a = chunk.state(index)
+        self._joints.restore(q, v, a)
+        position, _ = self._kinematics.forward(q)
+        velocity = self._kinematics.jacobian(q)[:3] @ v
+        self._hand.reseed(position + self._base, velocity)
+
+    def _outside(self, position_w: Array) -> float:
+        """Largest distance outside of the box along an axis, m; negative inside."""
+        return float(np.maximum(self._low - position_w, position_w - self._high).max())
+
+    def _breach(self, chunk: PlannedChunk, extent: tuple[Array, Array]) -> str | None:
+        """Why a chunk must not be published, or None."""
+        joints = self._joints
+        new = chunk.q[: self.samples_per_cycle + 1]
+        # Between two samples a position can exceed both by A h^2 / 8 at most.
+        bulge = joints.acceleration * self._grid_dt**2 / 8.0
+        low = np.minimum(new.min(axis=0) - bulge, extent[0])
+        high = np.maximum(new.max(axis=0) + bulge, extent[1])
+        if (low < joints.lower - bulge).any() or (high > joints.upper + bulge).any():
+            return "a joint could not stop before its position limit"
+        position, _ = self._kinematics.forward(chunk.q)
+        if self._outside(position + self._base) > self._tolerance:
+            return "the hand could not stop inside the workspace"
+        steps = np.diff(position, axis=0)
+        if float((steps * steps).sum(axis=1).max()) > (self._tcp_speed * self._grid_dt) ** 2:
+            return "the tool would be too fast"
+        return None
