@@ -211,6 +211,18 @@ HOME: dict[Side, tuple[float, ...]] = {
 }
 """ABB's calibration and home pose, chain order, rad [A]."""
 
+PRESS_START_CONFIGURATION: tuple[float, ...] = (
+    1.093474689567,
+    -1.104380578876,
+    -1.159655319083,
+    0.81242501193,
+    -2.049920816521,
+    1.313912147012,
+    2.698715125665,
+)
+"""Right arm at the start of OpenPressClose: hand at (-0.009, -0.1345, 0.270) in the task world,
+straight down, rad, chain order. Found by `start_search`, which says how it was chosen."""
+
 MIRROR_SIGNS = (-1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0)
 """The other arm at `q * MIRROR_SIGNS` is this arm mirrored in the robot's x-z plane."""
 
