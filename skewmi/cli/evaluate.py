@@ -41,6 +41,8 @@ class EvaluateCommand:
     """Environments stepped together; 0: as many as episodes, at most 50."""
     num_threads: int = 0
     """Threads that step them; 0: automatic."""
+    option: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """Option of the task, NAME=VALUE with VALUE in JSON, as start_noise=0.3; may be repeated."""
     json: bool = False
     """Print one JSON document instead of text."""
 
@@ -57,9 +59,7 @@ def run_evaluate(options: EvaluateCommand) -> int:
     elif options.task is None:
         raise ConfigurationError(f"--agent {options.agent} needs --task")
     task = options.task or (policy.layout.task if policy is not None else "")
-    env_options: dict[str, Any] = {}
-    if policy is not None and policy.layout.task == task:
-        env_options = task_options(policy.layout, getattr(policy, "metadata", {}))
+    env_options = task_options(task, policy.layout if policy is not None else None, options.option)
     env = make_env(
         task, options.num_envs, options.episodes, options.num_threads, options.seed, env_options
     )

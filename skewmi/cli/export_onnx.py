@@ -7,18 +7,24 @@ as a robot would load it, and runs the same episodes.
 
 from __future__ import annotations
 
+import hashlib
 import json
+import math
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import tyro
 
 from skewmi.cli.policies import Which, load_run, make_env, progress_bar, task_options
-from skewmi.errors import NotFoundError, VerificationError
+from skewmi.errors import CheckpointError, NotFoundError, VerificationError
 from skewmi.export.rollout import run_episodes, summarise
 from skewmi.policy_io import PolicyLayout
+
+if TYPE_CHECKING:
+    from skewmi.train.policy import TorchPolicy
 
 
 @dataclass(frozen=True)
@@ -39,6 +45,8 @@ class ExportOnnxCommand:
     """Environments stepped together; 0: as many as episodes, at most 50."""
     num_threads: int = 0
     """Threads that step them; 0: automatic."""
+    option: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """Option of the task, NAME=VALUE with VALUE in JSON, as start_noise=0.3; may be repeated."""
     json: bool = False
     """Print one JSON document instead of text."""
 
@@ -46,6 +54,7 @@ class ExportOnnxCommand:
 def run_export_onnx(options: ExportOnnxCommand) -> int:
     """Export. Returns 0 if the file was written, 1 if it differed from torch and was not."""
     policy = load_run(options.run_dir, options.which)
+    from_run = run_metadata(options.run_dir, policy)
     try:
         from skewmi.export.onnx_export import export_policy
     except ModuleNotFoundError as error:
@@ -59,12 +68,13 @@ def run_export_onnx(options: ExportOnnxCommand) -> int:
         options.episodes,
         options.num_threads,
         options.seed,
-        task_options(layout, policy.metadata),
+        task_options(layout.task, layout, options.option),
     )
     with progress_bar("recording observations with torch") as progress:
         recorded = run_episodes(policy, env, options.episodes, options.seed, progress=progress)
     by_torch = summarise(recorded)
     metadata = {
+        **from_run,
         **robot_metadata(layout),
         "evaluation": {**by_torch, "seed": options.seed, "num_envs": env.num_envs},
     }
@@ -94,13 +104,58 @@ def run_export_onnx(options: ExportOnnxCommand) -> int:
     return 0
 
 
-def robot_metadata(layout: PolicyLayout) -> dict[str, Any]:
-    """Which robot model a task's arm is; both None for a task without an arm."""
-    if layout.workspace is None:
-        return {"robot": None, "robot_model_hash": None}
-    from skewmi.robot_models import yumi
+def run_metadata(run_dir: Path, policy: TorchPolicy) -> dict[str, Any]:
+    """Where a policy came from: reference point, sha256 of its weights, whole configuration.
 
-    return {"robot": "yumi", "robot_model_hash": yumi.MODEL_HASH}
+    Raises:
+        CheckpointError: The run went on and dropped this checkpoint, or cannot be read.
+    """
+    weights = run_dir / "checkpoints" / policy.metadata["checkpoint"] / "weights.safetensors"
+    try:
+        digest = hashlib.sha256(weights.read_bytes()).hexdigest()
+        config = json.loads((run_dir / "config.json").read_text())["config"]
+    except (OSError, ValueError, KeyError) as error:
+        raise CheckpointError(f"cannot read {weights} or its run: {error}") from error
+    names = [field.name for field in policy.layout.state_fields]
+    return {
+        "reference_point": dict(zip(names, policy.goal.tolist(), strict=True)),
+        "checkpoint_sha256": digest,
+        "training_config": _finite(config),
+    }
+
+
+def robot_metadata(layout: PolicyLayout) -> dict[str, Any]:
+    """Which robot a task's arm is and what bounded its motion in training; None without an arm."""
+    if layout.workspace is None:
+        return {"robot": None, "robot_model_hash": None, "limits": None}
+    from skewmi.robot_models import servo, yumi
+    from skewmi.robot_models.kinematics import ArmKinematics
+
+    arm = ArmKinematics()
+    speed = layout.action_scale / layout.control_dt
+    return {
+        "robot": "yumi",
+        "robot_model_hash": yumi.MODEL_HASH,
+        "limits": {
+            "joint_position_lower": arm.position_lower.tolist(),
+            "joint_position_upper": arm.position_upper.tolist(),
+            "joint_force": np.asarray(servo.DEFAULT.force_limit).tolist(),
+            "command_speed": {
+                field.name: value
+                for field, value in zip(layout.action, speed.tolist(), strict=True)
+            },
+            "max_lead": layout.workspace.max_lead,
+        },
+    }
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no infinity, and configurations use it for "no bound": None in the file."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def as_text(figures: dict[str, Any]) -> str:

@@ -2,20 +2,31 @@
 
 from __future__ import annotations
 
+import json
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from skewmi.batch_env import BatchEnv
 from skewmi.errors import ConfigurationError, NotFoundError
-from skewmi.policy_io import TIME_FIELD, Policy, PolicyLayout
+from skewmi.policy_io import Policy, PolicyLayout
 
 if TYPE_CHECKING:
-    from skewmi.train.checkpoint import TorchPolicy
+    from skewmi.train.policy import TorchPolicy
 
 Which = Literal["latest", "best"]
+
+_LAYOUT_CHOICES: tuple[dict[str, Any], ...] = (
+    {},
+    {"time_input": True},
+    {"gripper_action": True},
+    {"gripper_action": True, "time_input": True},
+)
+"""Options of tasks that change their layout."""
+
+_OWN_FLAGS = ("num_envs", "num_threads", "seed")
 
 MAX_BATCH = 50
 """Environments stepped together by default: enough to keep the threads busy, little memory."""
@@ -54,18 +65,43 @@ def load_policy_from(path: Path, which: Which) -> Policy:
         )
     from skewmi.deploy.policy import OnnxPolicy
 
-    return OnnxPolicy.load(path)
+    policy: Policy = OnnxPolicy.load(path)
+    return policy
 
 
-def task_options(layout: PolicyLayout, metadata: Mapping[str, Any]) -> dict[str, Any]:
+def task_options(task: str, wanted: PolicyLayout | None, given: tuple[str, ...]) -> dict[str, Any]:
     """Options of `sim.tasks.make_batch` that give a policy the environment it was made for.
 
-    Training records them as "task_options"; a file without them at least says by its layout
-    whether it wants the time.
+    Args:
+        task: One of `sim.tasks.TASKS`.
+        wanted: Layout of the policy. What the task offers as choices in its layout is tried
+            until the layouts agree; if none does, the caller's comparison says what differs.
+        given: NAME=VALUE pairs of the user, VALUE in JSON; they come on top.
+
+    Raises:
+        ConfigurationError: A pair is malformed.
+        NotFoundError: There is no such task.
     """
-    options = dict(metadata.get("task_options") or {})
-    if layout.observation_names[-1] == TIME_FIELD:
-        options.setdefault("time_input", True)
+    from skewmi.sim import tasks
+
+    options: dict[str, Any] = {}
+    for chosen in _LAYOUT_CHOICES if wanted is not None else ():
+        try:
+            if wanted is not None and tasks.layout(task, **chosen).hash() == wanted.hash():
+                options.update(chosen)
+                break
+        except ConfigurationError:
+            continue  # this task has no such choice
+    for pair in given:
+        name, equals, text = pair.partition("=")
+        try:
+            if not equals or not name.isidentifier():
+                raise ValueError("the form is NAME=VALUE")
+            if name in _OWN_FLAGS:
+                raise ValueError(f"use --{name.replace('_', '-')}")
+            options[name] = json.loads(text)
+        except ValueError as error:
+            raise ConfigurationError(f"task option {pair!r}: {error}") from error
     return options
 
 
