@@ -1,0 +1,333 @@
+"""The Gymnasium faces: Gymnasium's own checks, goals, automatic reset, and other people's SAC."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from skewmi.errors import ConfigurationError
+from skewmi.policy_io import Ball, PolicyLayout, inside_region
+from skewmi.sim import gym_envs, tasks
+from skewmi.sim.goals import RegionGoals
+
+IDS = tuple(gym_envs.IDS)
+MAZE = "skewmi/PointMaze-v0"
+UNBOUNDED = "A Box observation space m"
+"""Start of Gymnasium's two warnings about infinite bounds: our ranges scale, they do not clip."""
+
+
+@pytest.fixture(params=IDS)
+def env_id(request: pytest.FixtureRequest) -> str:
+    name: str = request.param
+    return name
+
+
+def equal(first: Any, second: Any) -> None:
+    assert first.keys() == second.keys()
+    for name in first:
+        np.testing.assert_array_equal(first[name], second[name])
+
+
+def test_every_task_is_registered() -> None:
+    assert set(gym_envs.IDS.values()) == set(tasks.TASKS)
+    gym_envs.register()  # again, without complaint
+    for name in IDS:
+        assert gymnasium.spec(name).vector_entry_point is not None
+
+
+def test_gymnasium_finds_nothing_wrong(env_id: str) -> None:
+    env = gymnasium.make(env_id, time_input=True)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        check_env(env.unwrapped, skip_render_check=True)
+    assert [str(w.message) for w in caught if UNBOUNDED not in str(w.message)] == []
+    env.close()
+
+
+def test_gymnasium_can_render(env_id: str) -> None:
+    env = gymnasium.make(env_id, render_mode="rgb_array", width=96, height=64)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        check_env(env.unwrapped)
+    assert [str(w.message) for w in caught if UNBOUNDED not in str(w.message)] == []
+    env.reset(seed=0)
+    first = np.asarray(env.render())
+    for _ in range(8):
+        env.step(np.ones(env.action_space.shape, dtype=np.float32))
+    second = np.asarray(env.render())
+    env.close()
+    assert first.shape == (64, 96, 3)
+    assert first.dtype == np.uint8
+    assert first.std() > 5.0
+    assert (first != second).any()
+
+
+def test_single_environment_is_the_batched_one(env_id: str) -> None:
+    env = gymnasium.make(env_id)
+    batch = tasks.make_batch(gym_envs.IDS[env_id], 1, num_threads=1)
+    observation, info = env.reset(seed=4)
+    assert info == {}
+    np.testing.assert_array_equal(observation["observation"], batch.reset(4)[0])
+    env.action_space.seed(0)
+    for _ in range(5):
+        action = env.action_space.sample()
+        observation, reward, terminated, truncated, info = env.step(action)
+        expected = batch.step(action[None])
+        np.testing.assert_array_equal(observation["observation"], expected.observation[0])
+        assert reward == expected.reward[0]
+        assert (terminated, truncated) == (False, expected.truncated)
+        assert info == {"success": expected.success[0], "is_success": expected.success[0]}
+    env.close()
+
+
+def test_episodes_are_truncated_and_never_terminate() -> None:
+    env = gymnasium.make(MAZE)
+    env.reset(seed=0)
+    ends = [env.step(np.zeros(2, dtype=np.float32))[2:4] for _ in range(200)]
+    assert ends == [(False, False)] * 199 + [(False, True)]
+
+
+def test_unseeded_environments_start_differently() -> None:
+    starts = [gymnasium.make(MAZE, start_noise=0.5).reset()[0]["observation"] for _ in range(2)]
+    assert (starts[0] != starts[1]).all()
+
+
+def test_reward_of_a_step_is_compute_reward_of_its_goals() -> None:
+    # The goal is next to the start, so that the point comes and goes.
+    env: Any = gymnasium.make(MAZE).unwrapped
+    observation, _ = env.reset(seed=0, options={"desired_goal": [0.3, 0.0]})
+    rewards = []
+    for action in [1.0] * 6 + [-1.0] * 6:
+        observation, reward, _, _, info = env.step(np.array([action, 0.0], dtype=np.float32))
+        assert reward == env.compute_reward(
+            observation["achieved_goal"], observation["desired_goal"], info
+        )
+        assert info["is_success"] == (reward == 1.0)
+        assert not info["success"]  # the task's own region is far away
+        rewards.append(reward)
+    assert rewards == [0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0]
+    observation, _ = env.reset()
+    assert observation["desired_goal"].tolist() == [-4.0, 0.0]
+
+
+def test_goal_and_observation_name_their_fields() -> None:
+    env: Any = gymnasium.make(MAZE, time_input=True).unwrapped
+    assert env.goal_names == ("x", "y")
+    assert env.layout.observation_names == ("x", "y", "time")
+    observation, _ = env.reset(seed=0)
+    assert {k: v.shape for k, v in observation.items()} == {
+        "observation": (3,),
+        "achieved_goal": (2,),
+        "desired_goal": (2,),
+    }
+
+
+@pytest.mark.parametrize("task", tasks.TASKS)
+@settings(max_examples=50)
+@given(seed=st.integers(0, 2**32))
+def test_default_goal_is_the_reward_region(task: str, seed: int) -> None:
+    layout = tasks.layout(task)
+    goals = RegionGoals(layout)
+    generator = np.random.default_rng(seed)
+    state = generator.uniform(
+        layout.observation_low, layout.observation_high, (200, layout.state_dim)
+    )
+    # Half of them around the region, where the answer is not plainly no.
+    columns = [layout.observation_names.index(name) for name in goals.names]
+    radii = {name: ball.radius for ball in layout.reward_region for name in ball.fields}
+    spread = 1.5 * np.array([radii[name] for name in goals.names])
+    state[:100, columns] = goals.default + generator.uniform(-spread, spread, (100, goals.dim))
+    reached = goals.reached(goals.achieved(state), goals.default)
+    np.testing.assert_array_equal(reached, inside_region(layout, state))
+
+
+@given(
+    goal=st.tuples(st.floats(-12, 4), st.floats(-6, 6)),
+    offset=st.tuples(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3)),
+)
+def test_a_goal_moves_the_region_with_it(
+    goal: tuple[float, float], offset: tuple[float, float]
+) -> None:
+    distance = float(np.hypot(*offset))
+    if abs(distance - 0.15) < 1e-9:
+        return
+    achieved = np.array(goal) + offset
+    assert RegionGoals(tasks.layout("point_maze")).reached(achieved, goal) == (distance < 0.15)
+
+
+def test_goals_cover_only_the_fields_of_the_region_and_are_vectorised() -> None:
+    layout = tasks.layout("point_maze")
+    content = {**vars(layout), "reward_region": (Ball(("y",), (1.0,), 0.5),)}
+    goals = RegionGoals(PolicyLayout(**content))
+    assert (goals.names, goals.dim, goals.default.tolist()) == (("y",), 1, [1.0])
+    achieved = np.arange(12.0).reshape(3, 4, 1)
+    reached = goals.reached(achieved, np.array([5.0]))
+    assert reached.shape == (3, 4)
+    assert np.argwhere(reached).tolist() == [[1, 1]]
+    with pytest.raises(ConfigurationError, match="1 entries"):
+        goals.reached(np.zeros((3, 2)), np.zeros(1))
+    with pytest.raises(ConfigurationError, match="no reward region"):
+        RegionGoals(PolicyLayout(**{**content, "reward_region": ()}))
+
+
+@pytest.mark.parametrize("goal", [[1.0], [[0.0, 0.0]] * 3, [np.nan, 0.0], "here"])
+def test_impossible_goals_are_refused(goal: Any) -> None:
+    envs = gymnasium.make_vec(MAZE, num_envs=2)
+    with pytest.raises(ConfigurationError, match="desired_goal"):
+        envs.reset(options={"desired_goal": goal})
+
+
+def test_unknown_options_and_modes_are_refused() -> None:
+    with pytest.raises(ConfigurationError, match="colour"):
+        gymnasium.make(MAZE).reset(options={"colour": 1})
+    with pytest.raises(ConfigurationError, match="gravity"):
+        gymnasium.make(MAZE, gravity=1)
+    with pytest.raises(ConfigurationError, match="SameStep"):
+        gymnasium.make_vec(MAZE, autoreset_mode="Sometimes")
+    with pytest.raises(ConfigurationError, match="rgb_array"):
+        gym_envs.GoalEnv("point_maze", render_mode="human")
+
+
+def test_vector_environment_is_the_batched_one(env_id: str) -> None:
+    envs = gymnasium.make_vec(env_id, num_envs=3, num_threads=1)
+    batch = tasks.make_batch(gym_envs.IDS[env_id], 3, num_threads=1)
+    observation, _ = envs.reset(seed=9)
+    np.testing.assert_array_equal(observation["observation"], batch.reset(9))
+    assert observation in envs.observation_space
+    envs.action_space.seed(0)
+    for _ in range(3):
+        actions = envs.action_space.sample()
+        observation, reward, terminated, truncated, info = envs.step(actions)
+        expected = batch.step(actions)
+        np.testing.assert_array_equal(observation["observation"], expected.observation)
+        np.testing.assert_array_equal(reward, expected.reward)
+        np.testing.assert_array_equal(info["success"], expected.success)
+        assert not terminated.any()
+        assert not truncated.any()
+    envs.close()
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+def test_automatic_reset_is_that_of_gymnasium(mode: AutoresetMode) -> None:
+    # The maze without noise needs no random numbers, so both must agree in everything.
+    ours = gymnasium.make_vec(MAZE, num_envs=2, autoreset_mode=mode)
+    theirs = gymnasium.make_vec(
+        MAZE, num_envs=2, vectorization_mode="sync", vector_kwargs={"autoreset_mode": mode}
+    )
+    assert ours.metadata["autoreset_mode"] == theirs.metadata["autoreset_mode"] == mode
+    equal(ours.reset(seed=0)[0], theirs.reset(seed=0)[0])
+    ours.action_space.seed(0)
+    for _ in range(410):
+        actions = ours.action_space.sample()
+        results = ours.step(actions), theirs.step(actions)
+        equal(results[0][0], results[1][0])
+        for mine, reference in zip(results[0][1:4], results[1][1:4], strict=True):
+            np.testing.assert_array_equal(mine, reference)
+            assert mine.dtype == reference.dtype
+        assert results[0][4].keys() == results[1][4].keys()
+        for key in results[0][4]:
+            mine, reference = results[0][4][key], results[1][4][key]
+            if key == "final_obs":
+                for a, b in zip(mine, reference, strict=True):
+                    equal(a, b)
+            elif key == "final_info":
+                equal(mine, reference)
+            else:
+                np.testing.assert_array_equal(mine, reference)
+
+
+def test_without_automatic_reset_the_caller_resets() -> None:
+    envs = gymnasium.make_vec(MAZE, num_envs=2, autoreset_mode="Disabled")
+    envs.reset(seed=0)
+    for _ in range(200):
+        *_, truncated, _ = envs.step(np.zeros((2, 2), dtype=np.float32))
+    assert truncated.all()
+    with pytest.raises(ConfigurationError, match="reset"):
+        envs.step(np.zeros((2, 2), dtype=np.float32))
+    envs.reset()
+    envs.step(np.zeros((2, 2), dtype=np.float32))
+
+
+def test_each_copy_can_have_its_own_goal() -> None:
+    envs: Any = gymnasium.make_vec(MAZE, num_envs=2)
+    envs.reset(seed=0, options={"desired_goal": [[0.0, 0.0], [5.0, 5.0]]})
+    observation, reward, _, _, info = envs.step(np.zeros((2, 2), dtype=np.float32))
+    assert reward.tolist() == [1.0, 0.0]
+    assert info["is_success"].tolist() == [True, False]
+    again = envs.compute_reward(observation["achieved_goal"], observation["desired_goal"], info)
+    np.testing.assert_array_equal(again, reward)
+
+
+def test_gymnasium_wrappers_work_on_the_vector_environment() -> None:
+    envs = gymnasium.wrappers.vector.RecordEpisodeStatistics(gymnasium.make_vec(MAZE, num_envs=2))
+    envs.reset(seed=0, options={"desired_goal": [0.0, 0.0]})
+    for _ in range(200):
+        *_, info = envs.step(np.zeros((2, 2), dtype=np.float32))
+    np.testing.assert_array_equal(info["episode"]["r"], [200.0, 200.0])
+    np.testing.assert_array_equal(info["episode"]["l"], [200, 200])
+
+
+def train_with_stable_baselines(env_id: str, steps: int) -> Any:
+    stable_baselines3 = pytest.importorskip("stable_baselines3")
+    import torch
+    from stable_baselines3.common.env_checker import check_env as check_for_sb3
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        env = gymnasium.make(env_id)
+        check_for_sb3(env.unwrapped)
+        model = stable_baselines3.SAC(
+            "MultiInputPolicy",
+            env,
+            replay_buffer_class=stable_baselines3.HerReplayBuffer,
+            replay_buffer_kwargs={"n_sampled_goal": 4, "goal_selection_strategy": "future"},
+            learning_starts=250,
+            batch_size=64,
+            policy_kwargs={"net_arch": [32, 32]},
+            buffer_size=5000,
+            seed=0,
+            device="cpu",
+        )
+        model.learn(steps)
+    finally:
+        torch.set_num_threads(threads)
+    return model
+
+
+def check_hindsight_pays(model: Any) -> None:
+    sample = model.replay_buffer.sample(512)
+    # Real goals are far away, so every reward in there comes from our compute_reward through HER.
+    assert 0.0 < sample.rewards.mean() < 1.0
+    reached = model.env.env_method(
+        "compute_reward",
+        sample.next_observations["achieved_goal"].numpy(),
+        sample.observations["desired_goal"].numpy(),
+        {},
+        indices=[0],
+    )[0]
+    np.testing.assert_array_equal(sample.rewards.numpy()[:, 0], reached)
+
+
+def test_stable_baselines_trains_untouched(env_id: str) -> None:
+    model = train_with_stable_baselines(env_id, 320)
+    assert model.num_timesteps == 320
+    check_hindsight_pays(model)
+
+
+@pytest.mark.slow
+def test_stable_baselines_trains_for_a_while(env_id: str) -> None:
+    model = train_with_stable_baselines(env_id, 2000)
+    assert model.num_timesteps == 2000
+    check_hindsight_pays(model)
+    observation, _ = model.env.envs[0].reset(seed=0)
+    action, _ = model.predict(observation, deterministic=True)
+    assert np.abs(action).max() <= 1.0
