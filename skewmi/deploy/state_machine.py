@@ -100,7 +100,7 @@ class StateMachine(Generic[S, E]):
         self.state = table.initial
         self.reason = "started"
         self.log: list[Transition[S]] = []
-        self._on_transition = on_transition
+        self.on_transition = on_transition
         self._log_limit = log_limit
 
     def fire(self, event: E, reason: str, stamp_ns: int) -> bool:
@@ -115,6 +115,6 @@ class StateMachine(Generic[S, E]):
         if len(self.log) >= self._log_limit:
             del self.log[0]
         self.log.append(transition)
-        if self._on_transition is not None:
-            self._on_transition(transition)
+        if self.on_transition is not None:
+            self.on_transition(transition)
         return True

@@ -1,14 +1,12 @@
-"""What every robot endpoint has in common: the contract of a backend and its description."""
+"""What every robot endpoint has in common: the contract of a backend."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Protocol
 
 from skewmi.deploy.endpoint.executor import PlanPoint
-from skewmi.errors import SkewmiError, TransportError
+from skewmi.errors import SkewmiError
 from skewmi.policy_io import Array
 
 GRID_NS = 4_000_000
@@ -56,6 +54,8 @@ class RobotBackend(Protocol):
     """The task the scene belongs to."""
     layout_hashes: tuple[str, ...]
     """Every variant of the task's layout that this scene serves (with and without time, ...)."""
+    simulated: bool
+    """Whether the scene can be reset by a message."""
 
     def measure(self) -> Measurement:
         """Present state; the arrays are not written to afterwards."""
@@ -76,50 +76,3 @@ class RobotBackend(Protocol):
         Raises:
             CommandRefusedError: The scene is real.
         """
-
-
-@dataclass(frozen=True)
-class EndpointDescription:
-    """What an endpoint says about itself; the daemon compares it with what the policy needs."""
-
-    backend: str
-    task: str
-    layout_hashes: tuple[str, ...]
-    robot_model_hash: str
-    limit_profile: str
-    lock_step: bool
-    grid_ns: int
-    state_period_ns: int
-    state: str
-    reason: str
-    clock_ns: int
-    """The endpoint's clock: when the next sample is due."""
-    joint_names: tuple[str, ...]
-    commanded_position: tuple[float, ...]
-    """Where the plan ends, rad: the point a new commander's first chunk starts from."""
-    limits: Mapping[str, tuple[float, ...]]
-    """The bounds of the limit profile per joint, so that both sides can compare them."""
-
-    def to_json(self) -> str:
-        """One JSON object; floats at full precision."""
-        return json.dumps(asdict(self), sort_keys=True)
-
-    @staticmethod
-    def from_json(text: str) -> EndpointDescription:
-        """Inverse of `to_json`.
-
-        Raises:
-            TransportError: The text is not a description, or one of another version.
-        """
-        try:
-            content: dict[str, Any] = json.loads(text)
-            for name in ("joint_names", "layout_hashes"):
-                content[name] = tuple(content[name])
-            content["commanded_position"] = tuple(map(float, content["commanded_position"]))
-            content["limits"] = {k: tuple(v) for k, v in content["limits"].items()}
-            return EndpointDescription(**content)
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise TransportError(
-                f"the endpoint's description cannot be read ({error}); "
-                "is it of another version of skewmi?"
-            ) from error

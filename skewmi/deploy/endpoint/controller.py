@@ -1,12 +1,11 @@
 """The endpoint without its wires: what happens at each tick and at each request.
 
 Knows neither Zenoh nor wall clocks, so that every refusal and transition can be tested with
-plain values; `server` connects it. Methods may be called from several threads.
+plain values; `server` connects it. Everything is called from one thread, the server's loop.
 """
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 
 import numpy as np
@@ -44,7 +43,7 @@ class EndpointController:
     Args:
         backend: The robot.
         validator: Judges chunks.
-        on_transition: Called, with the lock held, after every change of state.
+        on_transition: Called after every change of state.
         lease_ns: Silence after which the commander loses the arm.
         tracking_limit: Joint error that counts as a fault, rad.
     """
@@ -60,7 +59,6 @@ class EndpointController:
     ) -> None:
         self._backend = backend
         self._validator = validator
-        self._lock = threading.RLock()
         self._tracking_limit = tracking_limit
         self.machine = StateMachine(ENDPOINT_TABLE, on_transition)
         self.lease = CommanderLease(lease_ns)
@@ -84,13 +82,11 @@ class EndpointController:
         return self.tick_index * GRID_NS
 
     def measure(self) -> Measurement:
-        with self._lock:
-            return self._backend.measure()
+        return self._backend.measure()
 
     def commanded_position(self) -> tuple[float, ...]:
         """Where the plan ends, rad."""
-        with self._lock:
-            return tuple(map(float, self.plan.point(self.plan.last_tick).q))
+        return tuple(map(float, self.plan.point(self.plan.last_tick).q))
 
     def receive(self, payload: bytes, gid: bytes, sequence: int, now_ns: int) -> bool:
         """Judge a command as it came from the wire, and follow it if it passes.
@@ -104,15 +100,18 @@ class EndpointController:
         Returns:
             Whether it was accepted; if not, `refusal` says why.
         """
-        with self._lock:
-            try:
-                self._accept(decode_chunk(payload), gid, sequence, now_ns)
-            except (CommandRefusedError, TransportError) as error:
-                self.refused += 1
-                self.refusal = str(error)
-                return False
-            self.accepted += 1
-            return True
+        try:
+            self._accept(decode_chunk(payload), gid, sequence, now_ns)
+        except (CommandRefusedError, TransportError) as error:
+            self.note_refusal(str(error))
+            return False
+        self.accepted += 1
+        return True
+
+    def note_refusal(self, reason: str) -> None:
+        """Count a refused command, for the status."""
+        self.refused += 1
+        self.refusal = reason
 
     def _accept(self, chunk: TrajectoryChunk, gid: bytes, sequence: int, now_ns: int) -> None:
         if self.state not in ACCEPTS_COMMANDS:
@@ -133,24 +132,23 @@ class EndpointController:
 
     def step(self, now_ns: int) -> None:
         """Command the target of the tick that is due, and let one grid interval pass."""
-        with self._lock:
-            self.check_lease(now_ns)
-            target = self.plan.point(self.tick_index)
-            try:
-                self._backend.step(target)
-                error = self._tracking_error(target.q)
-                if error > self._tracking_limit:
-                    raise BackendFaultError(
-                        f"a joint is {error:.3g} rad from its command; "
-                        f"at most {self._tracking_limit:g} rad are allowed"
-                    )
-            except BackendFaultError as fault:
-                self._fire(EndpointEvent.FAULT, str(fault))
-            self.tick_index += 1
-            if self.plan.at_rest(self.tick_index):
-                self._fire(EndpointEvent.AT_REST, "the plan has ended")
-                if self.state is EndpointState.DISARMED:
-                    self.lease.close()
+        self.check_lease(now_ns)
+        target = self.plan.point(self.tick_index)
+        try:
+            self._backend.step(target)
+            error = self._tracking_error(target.q)
+            if error > self._tracking_limit:
+                raise BackendFaultError(
+                    f"a joint is {error:.3g} rad from its command; "
+                    f"at most {self._tracking_limit:g} rad are allowed"
+                )
+        except BackendFaultError as fault:
+            self._fire(EndpointEvent.FAULT, str(fault))
+        self.tick_index += 1
+        if self.plan.at_rest(self.tick_index):
+            self._fire(EndpointEvent.AT_REST, "the plan has ended")
+            if self.state is EndpointState.DISARMED:
+                self.lease.close()
 
     def _tracking_error(self, commanded: Array) -> float:
         measured = self._backend.measure().position[: len(commanded)]
@@ -158,12 +156,11 @@ class EndpointController:
 
     def check_lease(self, now_ns: int) -> None:
         """Take the arm from a commander that has been silent for too long."""
-        with self._lock:
-            if self.lease.expired(now_ns):
-                seconds = self.lease.timeout_ns / 1e9
-                self._fire(EndpointEvent.COMMANDER_LOST, f"no command for {seconds:g} s")
-                if self.state is EndpointState.DISARMED:
-                    self.lease.close()
+        if self.lease.expired(now_ns):
+            seconds = self.lease.timeout_ns / 1e9
+            self._fire(EndpointEvent.COMMANDER_LOST, f"no command for {seconds:g} s")
+            if self.state is EndpointState.DISARMED:
+                self.lease.close()
 
     def arm(self, gid: bytes, now_ns: int) -> None:
         """Accept chunks from now on.
@@ -175,33 +172,31 @@ class EndpointController:
         Raises:
             CommandRefusedError: Somebody else commands, or the state does not allow it.
         """
-        with self._lock:
-            if self.state in (EndpointState.STOPPING, EndpointState.FAULT):
-                raise CommandRefusedError(
-                    f"the endpoint is {self.state.value} ({self.machine.reason}); "
-                    "stop it first (skewmi stop acknowledges a fault)"
-                )
-            if self.state in ACCEPTS_COMMANDS and gid and gid == self.lease.holder:
-                return
-            self.lease.open(now_ns)
-            self.lease.holder = gid or None
-            # The arm may have sagged or been pushed while disarmed: hold where it is commanded.
-            self._fire(EndpointEvent.ARM, f"armed by {gid.hex()[:8] or 'a service call'}")
+        if self.state in (EndpointState.STOPPING, EndpointState.FAULT):
+            raise CommandRefusedError(
+                f"the endpoint is {self.state.value} ({self.machine.reason}); "
+                "stop it first (skewmi stop acknowledges a fault)"
+            )
+        if self.state in ACCEPTS_COMMANDS and gid and gid == self.lease.holder:
+            return
+        self.lease.open(now_ns)
+        self.lease.holder = gid or None
+        # The arm may have sagged or been pushed while disarmed: hold where it is commanded.
+        self._fire(EndpointEvent.ARM, f"armed by {gid.hex()[:8] or 'a service call'}")
 
     def stop(self, who: str) -> None:
         """Brake along the accepted plan's tail, then disarm; at rest, acknowledge a fault."""
-        with self._lock:
-            if self.state is EndpointState.FAULT:
-                if not self.plan.at_rest(self.tick_index):
-                    return
-                # The arm may be far from its command: hold it where it is, do not jerk it back.
-                arm = self.measure().position[: len(self._backend.joint_names)]
-                self.plan.rest_at(arm, self.tick_index)
-            self._fire(EndpointEvent.STOP, f"stop asked for by {who}")
-            if self.state is EndpointState.STOPPING and self.plan.at_rest(self.tick_index):
-                self._fire(EndpointEvent.AT_REST, "the plan has ended")
-            if self.state is EndpointState.DISARMED:
-                self.lease.close()
+        if self.state is EndpointState.FAULT:
+            if not self.plan.at_rest(self.tick_index):
+                return
+            # The arm may be far from its command: hold it where it is, do not jerk it back.
+            arm = self.measure().position[: len(self._backend.joint_names)]
+            self.plan.rest_at(arm, self.tick_index)
+        self._fire(EndpointEvent.STOP, f"stop asked for by {who}")
+        if self.state is EndpointState.STOPPING and self.plan.at_rest(self.tick_index):
+            self._fire(EndpointEvent.AT_REST, "the plan has ended")
+        if self.state is EndpointState.DISARMED:
+            self.lease.close()
 
     def reset_scene(self, seed: int) -> None:
         """Put scene and arm back to the start of an episode.
@@ -209,11 +204,10 @@ class EndpointController:
         Raises:
             CommandRefusedError: The arm is moving, or the scene is real.
         """
-        with self._lock:
-            if not self.plan.at_rest(self.tick_index):
-                raise CommandRefusedError("the arm is moving; stop it before resetting the scene")
-            q = self._backend.reset_scene(seed)
-            self.plan.rest_at(q, self.tick_index)
+        if not self.plan.at_rest(self.tick_index):
+            raise CommandRefusedError("the arm is moving; stop it before resetting the scene")
+        q = self._backend.reset_scene(seed)
+        self.plan.rest_at(q, self.tick_index)
 
     def open_gripper(self, opening: float, gid: bytes) -> None:
         """Move the fingers, for the commander only.
@@ -221,12 +215,11 @@ class EndpointController:
         Raises:
             CommandRefusedError: Not armed, another commander, or not an opening.
         """
-        with self._lock:
-            if self.state not in ACCEPTS_COMMANDS:
-                raise CommandRefusedError(f"the endpoint is {self.state.value}; arm it first")
-            if self.lease.holder is not None and gid != self.lease.holder:
-                raise CommandRefusedError("another commander holds the arm")
-            self._backend.open_gripper(opening)
+        if self.state not in ACCEPTS_COMMANDS:
+            raise CommandRefusedError(f"the endpoint is {self.state.value}; arm it first")
+        if self.lease.holder is not None and gid != self.lease.holder:
+            raise CommandRefusedError("another commander holds the arm")
+        self._backend.open_gripper(opening)
 
     def _fire(self, event: EndpointEvent, reason: str) -> None:
         self.machine.fire(event, reason, self.clock_ns)

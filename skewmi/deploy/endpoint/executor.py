@@ -54,7 +54,7 @@ class PlanExecutor:
         return PlanPoint(self._q[index], self._v[index], self._a[index])
 
     def splice(self, tick: int, q: Array, v: Array, a: Array, now: int) -> None:
-        """Replace the plan from `tick` on; samples before the last executed one are forgotten.
+        """Replace the plan from `tick` on; samples before `now` are forgotten.
 
         Args:
             tick: When the first sample is due, at least `now`.
@@ -64,10 +64,9 @@ class PlanExecutor:
             now: The tick that is due next.
         """
         assert tick >= now
-        # The sample before `now` stays: the limits across the splice need it.
-        kept = np.arange(now - 1, tick) - self._first_tick
+        kept = np.arange(now, tick) - self._first_tick
         kept = np.clip(kept, 0, len(self._q) - 1)
         self._q = np.concatenate([self._q[kept], q])
         self._v = np.concatenate([self._v[kept], v])
         self._a = np.concatenate([self._a[kept], a])
-        self._first_tick = now - 1
+        self._first_tick = now

@@ -16,8 +16,8 @@ from skewmi.deploy.messages import TrajectoryChunk
 from skewmi.errors import CommandRefusedError, LimitViolationError
 from skewmi.policy_io import Array
 
-LimitCheck = Callable[[Array, Array, Array, PlanPoint], None]
-"""(q, v, a, plan at the tick before the chunk) -> raises LimitViolationError."""
+LimitCheck = Callable[[Array, Array, Array, PlanPoint], object]
+"""(q, v, a, plan at the chunk's first tick) -> raises LimitViolationError."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class ChunkValidator:
         check_splice(chunk, plan.point(tick), self.rules)
         check_rest(chunk, self.rules)
         try:
-            self._check_limits(chunk.q, chunk.v, chunk.a, plan.point(tick - 1))
+            self._check_limits(chunk.q, chunk.v, chunk.a, plan.point(tick))
         except LimitViolationError as error:
             raise CommandRefusedError(str(error)) from error
         return tick

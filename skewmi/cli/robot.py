@@ -1,0 +1,82 @@
+"""Start a robot endpoint: it publishes joint and scene states and follows checked commands.
+
+`--backend sim` is the simulated YuMi in the task's scene, in a process of its own. It listens on
+this machine only unless told otherwise. Ctrl-C brakes the arm and ends.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from rich.console import Console
+
+from skewmi.deploy.description import EndpointDescription
+from skewmi.deploy.endpoint.run import SimEndpointOptions, run_sim_endpoint
+from skewmi.deploy.transport import DEFAULT_LOCATOR, TransportConfig
+from skewmi.robot_models import limits as joint_limits
+
+
+@dataclass(frozen=True)
+class RobotCommand:
+    """Options of `skewmi robot`."""
+
+    backend: Literal["sim"] = "sim"
+    """What the robot is: the simulated YuMi."""
+    task: str = "open_press_close"
+    """Whose scene stands in front of the robot."""
+    listen: str = DEFAULT_LOCATOR
+    """Zenoh locator to listen on."""
+    limits: str = "lab"
+    """Joint limit profile to enforce (lab, careful); none is verified on hardware."""
+    lock_step: bool = False
+    """Advance only when the daemon's chunk has arrived: as fast as possible, repeatable."""
+    zenoh_config: Path | None = None
+    """Zenoh configuration file (JSON5 or YAML), e.g. for TLS; --listen still applies."""
+    json: bool = False
+    """Print the endpoint's description as one JSON document once it is ready."""
+    end_with_input: bool = False
+    """End when standard input is closed: for a parent process that must not leave it behind."""
+
+
+def run_robot(options: RobotCommand) -> int:
+    """Serve until interrupted. Returns 0."""
+    profile = joint_limits.profile(options.limits)
+    config = TransportConfig.for_endpoint(
+        options.listen, lock_step=options.lock_step, zenoh_config=options.zenoh_config
+    )
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    if options.end_with_input:
+        threading.Thread(target=_wait_for_end_of_input, args=(stop,), daemon=True).start()
+    console = Console(stderr=True)
+
+    def ready(description: EndpointDescription) -> None:
+        if options.json:
+            print(description.to_json(), flush=True)
+        pace = "lock-step" if options.lock_step else "real time"
+        console.print(
+            f"[bold]simulated YuMi[/] ({options.task}) listens on {options.listen}: {pace}, "
+            f"limits {profile.name}, disarmed. Ctrl-C ends it.",
+            highlight=False,
+        )
+
+    run_sim_endpoint(
+        config,
+        SimEndpointOptions(profile, options.task, options.lock_step),
+        stop,
+        on_ready=ready,
+    )
+    console.print("arm at rest, endpoint ended", highlight=False)
+    return 0
+
+
+def _wait_for_end_of_input(stop: threading.Event) -> None:
+    while sys.stdin.buffer.read(4096):
+        pass
+    stop.set()

@@ -1,0 +1,54 @@
+"""Bring the arm smoothly to rest and disarm it. Anybody may; it needs no arming.
+
+In fault it acknowledges the fault once the arm rests.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from skewmi.deploy import topics
+from skewmi.deploy.description import EndpointDescription
+from skewmi.deploy.transport import DEFAULT_LOCATOR, Link, TransportConfig
+from skewmi.errors import TransportError
+
+_RESTING = ("disarmed", "fault")
+
+
+@dataclass(frozen=True)
+class StopCommand:
+    """Options of `skewmi stop`."""
+
+    connect: str = DEFAULT_LOCATOR
+    """Zenoh locator of the endpoint."""
+    timeout_s: float = 5.0
+    """How long to wait for the arm to rest, s."""
+    zenoh_config: Path | None = None
+    """Zenoh configuration file (JSON5 or YAML); --connect still applies."""
+    json: bool = False
+    """Print the endpoint's state as one JSON document."""
+
+
+def run_stop(options: StopCommand) -> int:
+    """Stop the arm. Returns 0 if it rests disarmed, 1 if not in time or in fault."""
+    config = TransportConfig.for_client(options.connect, zenoh_config=options.zenoh_config)
+    with Link.open(config, f"skewmi_stop_{os.getpid()}") as link:
+        reply = link.call(topics.YUMI_STOP, options.timeout_s, b"skewmi stop")
+        if not reply.success:
+            raise TransportError(f"the endpoint did not stop: {reply.message}")
+        deadline = time.monotonic() + options.timeout_s
+        while True:
+            answer = link.call(topics.YUMI_DESCRIBE, options.timeout_s)
+            description = EndpointDescription.from_json(answer.message)
+            if description.state in _RESTING or time.monotonic() > deadline:
+                break
+            time.sleep(0.02)
+    if options.json:
+        print(json.dumps({"state": description.state, "reason": description.reason}))
+    else:
+        print(f"{description.state}: {description.reason}")
+    return 0 if description.state == "disarmed" else 1

@@ -1,0 +1,66 @@
+"""What an endpoint says about itself on `/yumi/describe`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from skewmi.errors import TransportError
+from skewmi.robot_models.limits import JointLimits
+
+
+@dataclass(frozen=True)
+class EndpointDescription:
+    """What an endpoint says about itself; the daemon compares it with what the policy needs."""
+
+    backend: str
+    task: str
+    layout_hashes: tuple[str, ...]
+    robot_model_hash: str
+    limit_profile: str
+    lock_step: bool
+    simulated: bool
+    """Whether the scene can be reset by a message."""
+    grid_ns: int
+    state_period_ns: int
+    state: str
+    reason: str
+    clock_ns: int
+    """The endpoint's clock: when the next sample is due."""
+    joint_names: tuple[str, ...]
+    commanded_position: tuple[float, ...]
+    """Where the plan ends, rad: the point a new commander's first chunk starts from."""
+    limits: Mapping[str, tuple[float, ...]]
+    """The bounds of the limit profile per joint, so that both sides can compare them."""
+
+    def to_json(self) -> str:
+        """One JSON object; floats at full precision."""
+        return json.dumps(asdict(self), sort_keys=True)
+
+    @staticmethod
+    def from_json(text: str) -> EndpointDescription:
+        """Inverse of `to_json`.
+
+        Raises:
+            TransportError: The text is not a description, or one of another version.
+        """
+        try:
+            content: dict[str, Any] = json.loads(text)
+            for name in ("joint_names", "layout_hashes"):
+                content[name] = tuple(content[name])
+            content["commanded_position"] = tuple(map(float, content["commanded_position"]))
+            content["limits"] = {k: tuple(v) for k, v in content["limits"].items()}
+            return EndpointDescription(**content)
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise TransportError(
+                f"the endpoint's description cannot be read ({error}); "
+                "is it of another version of skewmi?"
+            ) from error
+
+
+def limit_values(limits: JointLimits) -> dict[str, tuple[float, ...]]:
+    """The bounds that daemon and endpoint compare, per joint, rad and s."""
+    names = ("position_lower", "position_upper", "velocity", "acceleration", "jerk")
+    return {name: tuple(map(float, getattr(limits, name))) for name in names}

@@ -1,0 +1,93 @@
+"""Put a simulated robot endpoint together and run it until it is told to end."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from skewmi.deploy.description import EndpointDescription
+from skewmi.deploy.endpoint.base import GRID_NS
+from skewmi.deploy.endpoint.controller import EndpointController
+from skewmi.deploy.endpoint.executor import PlanPoint
+from skewmi.deploy.endpoint.server import EndpointServer, ServerOptions
+from skewmi.deploy.endpoint.sim_twin import SimTwin
+from skewmi.deploy.endpoint.validation import ChunkValidator, LimitCheck, ValidationRules
+from skewmi.deploy.limits import ChunkChecker
+from skewmi.deploy.transport import Link, TransportConfig
+from skewmi.policy_io import Array, Workspace
+from skewmi.robot_models.kinematics import ArmKinematics
+from skewmi.robot_models.limits import JointLimits
+
+NODE_NAME = "skewmi_robot"
+
+
+def limit_check(limits: JointLimits, workspace: Workspace) -> LimitCheck:
+    """The limits that the endpoint enforces: joints and hand speed always, the box from inside.
+
+    A motion that starts outside the box (on the way to the start pose) is only checked for joint
+    limits and hand speed; once the arm is inside, it cannot leave.
+
+    Args:
+        limits: Of the joints.
+        workspace: The task's box.
+    """
+    forward = ArmKinematics("right").forward
+    anywhere = ChunkChecker(limits, None, forward)
+    inside = ChunkChecker(limits, workspace, forward)
+    base = np.array(workspace.base_position)
+    low, high = np.array(workspace.low) - base, np.array(workspace.high) - base
+
+    def check(q: Array, v: Array, a: Array, present: PlanPoint) -> object:
+        start, _ = forward(q[0])
+        checker = inside if bool(((low <= start) & (start <= high)).all()) else anywhere
+        return checker.check(q, v, a, previous=present)
+
+    return check
+
+
+@dataclass(frozen=True)
+class SimEndpointOptions:
+    """What a simulated endpoint is started with."""
+
+    limits: JointLimits
+    task: str = "open_press_close"
+    lock_step: bool = False
+    start_configuration: tuple[float, ...] | None = None
+    """Where the arm is at first, chain order, rad; the task's start if not given."""
+
+
+def run_sim_endpoint(
+    config: TransportConfig,
+    options: SimEndpointOptions,
+    stop: threading.Event,
+    on_ready: Callable[[EndpointDescription], None] | None = None,
+) -> None:
+    """Serve a simulated robot until `stop` is set.
+
+    Args:
+        config: Where to listen.
+        options: Task, limits, pace.
+        stop: Set by a signal handler or another thread.
+        on_ready: Called once everything is declared.
+
+    Raises:
+        NotFoundError: No such task.
+        TransportError: The port is in use.
+    """
+    start = options.start_configuration
+    # The port first: a taken one is reported before the scene is compiled.
+    with Link.open(config, NODE_NAME) as link:
+        backend = SimTwin(options.task, None if start is None else np.array(start))
+        assert backend.layout.workspace is not None
+        rules = ValidationRules(joint_names=backend.joint_names, grid_ns=GRID_NS)
+        check = limit_check(options.limits, backend.layout.workspace)
+        controller = EndpointController(backend, ChunkValidator(rules, check))
+        server = EndpointServer(
+            backend, controller, link, ServerOptions(options.limits, options.lock_step)
+        )
+        if on_ready is not None:
+            on_ready(server.describe())
+        server.run(stop)

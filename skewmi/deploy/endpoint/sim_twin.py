@@ -1,0 +1,143 @@
+"""The simulated YuMi: the task's MuJoCo scene as a robot backend, one physics step per tick."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import mujoco
+import numpy as np
+
+from skewmi.deploy.endpoint.base import GRID_NS, BackendFaultError, Measurement
+from skewmi.deploy.endpoint.executor import PlanPoint
+from skewmi.errors import CommandRefusedError, ConfigurationError, NotFoundError
+from skewmi.policy_io import Array, PolicyLayout
+from skewmi.robot_models import yumi
+from skewmi.sim.open_press_close.definition import FINGER_MAX, make_layout
+from skewmi.sim.open_press_close.scene import OpenPressCloseScene, workspace_of
+
+SCENE_JOINTS = ("lid_hinge", "button_slide")
+"""Names in the scene states: lid angle (rad), button depth (m)."""
+
+TWIN_TASKS = ("open_press_close",)
+"""Tasks whose scene has a robot in it."""
+
+
+class SimTwin:
+    """MuJoCo twin of arm, gripper and scene; satisfies `RobotBackend`.
+
+    The servos and the contact of the training simulation, stepped by one 4 ms step per tick
+    with the tick's joint target. `step` costs about 0.1 ms.
+
+    Args:
+        task: Whose scene.
+        start_configuration: Where the arm is at first, rad, shape (7,); the task's start
+            configuration if not given. A scene reset always goes to the task's.
+
+    Raises:
+        NotFoundError: The task has no scene with a robot.
+        ConfigurationError: The scene's time step does not divide the grid.
+    """
+
+    name = "sim"
+    simulated = True
+
+    def __init__(
+        self, task: str = "open_press_close", start_configuration: Array | None = None
+    ) -> None:
+        if task not in TWIN_TASKS:
+            raise NotFoundError(
+                f"no simulated robot for task {task!r}; there is one for {', '.join(TWIN_TASKS)}"
+            )
+        self.task = task
+        self.layout: PolicyLayout = make_layout()
+        self.layout_hashes = tuple(
+            make_layout(gripper_action=gripper, time_input=time).hash()
+            for gripper, time in product((False, True), repeat=2)
+        )
+        self.joint_names = yumi.joint_names("right")
+        self.scene = OpenPressCloseScene()
+        self._data = mujoco.MjData(self.scene.model)
+        grid_dt = GRID_NS / 1e9
+        self._substeps = round(grid_dt / self.scene.model.opt.timestep)
+        if abs(self._substeps * self.scene.model.opt.timestep - grid_dt) > 1e-12:
+            raise ConfigurationError(
+                f"the scene's time step {self.scene.model.opt.timestep} s does not divide the "
+                f"endpoint's grid of {grid_dt} s"
+            )
+        self._names = (*self.joint_names, yumi.finger_names("right")[0])
+        lid, button = (self.scene.model.joint(name) for name in SCENE_JOINTS)
+        self._scene_qpos = np.array([int(lid.qposadr[0]), int(button.qposadr[0])])
+        self._scene_dof = np.array([int(lid.dofadr[0]), int(button.dofadr[0])])
+        self._finger_dof = np.array(
+            [int(self.scene.model.joint(name).dofadr[0]) for name in yumi.finger_names("right")]
+        )
+        self.reset_scene(seed=0)
+        if start_configuration is not None:
+            self._data.qpos[self.scene.arm_qpos] = start_configuration
+            self._data.ctrl[self.scene.arm_ctrl] = start_configuration
+            mujoco.mj_forward(self.scene.model, self._data)
+
+    def measure(self) -> Measurement:
+        """Present positions, velocities and servo forces; noise-free."""
+        data, scene = self._data, self.scene
+        fingers = scene.finger_qpos
+        return Measurement(
+            names=self._names,
+            position=np.append(data.qpos[scene.arm_qpos], data.qpos[fingers].mean()),
+            velocity=np.append(data.qvel[scene.arm_dof], data.qvel[self._finger_dof].mean()),
+            effort=np.append(
+                data.actuator_force[scene.arm_ctrl], data.actuator_force[scene.finger_ctrl]
+            ),
+            scene_names=SCENE_JOINTS,
+            scene_position=data.qpos[self._scene_qpos],
+            scene_velocity=data.qvel[self._scene_dof],
+        )
+
+    def step(self, target: PlanPoint) -> None:
+        """Follow the position servo target `target.q` for 4 ms.
+
+        Raises:
+            BackendFaultError: MuJoCo found a state that is not physical.
+        """
+        self._data.ctrl[self.scene.arm_ctrl] = target.q
+        mujoco.mj_step(self.scene.model, self._data, self._substeps)
+        raised = [
+            mujoco.mjtWarning(index).name
+            for index in range(mujoco.mjtWarning.mjNWARNING.value)
+            if self._data.warning[index].number
+        ]
+        if raised:
+            raise BackendFaultError(f"the simulation raised {', '.join(raised)}")
+
+    def open_gripper(self, opening: float) -> None:
+        """Move each finger to `opening` m from closed.
+
+        Raises:
+            CommandRefusedError: Not an opening of the fingers.
+        """
+        if not 0.0 <= opening <= FINGER_MAX:
+            raise CommandRefusedError(
+                f"finger opening {opening:.4g} m is outside 0..{FINGER_MAX:g} m"
+            )
+        self._data.ctrl[self.scene.finger_ctrl] = opening
+
+    def reset_scene(self, seed: int) -> Array:
+        """Lid shut, button up, arm at the task's start configuration.
+
+        Args:
+            seed: Of what varies between scenes; nothing does yet.
+
+        Returns:
+            Where the arm rests. Shape (7,), rad.
+        """
+        del seed
+        self.scene.reset(self._data, layout=self.layout)
+        start = np.array(workspace_of(self.layout).start_configuration)
+        q = self._data.qpos[self.scene.arm_qpos].copy()
+        # The start position decides; its configuration is the posture that inverse kinematics
+        # of the reset starts from, so both agree unless the table of constants is wrong.
+        if np.abs(q - start).max() > 1e-2:
+            raise ConfigurationError(
+                "the task's start configuration does not put the hand at its start position"
+            )
+        return np.asarray(q, dtype=np.float64)

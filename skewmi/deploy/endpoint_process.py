@@ -1,0 +1,79 @@
+"""A simulated robot endpoint as a child process, for runs that bring their own robot."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from tempfile import TemporaryFile
+
+from skewmi.errors import TransportError
+
+_READY_TIMEOUT_S = 60.0
+_END_TIMEOUT_S = 10.0
+
+
+@contextmanager
+def sim_endpoint_process(task: str, limits: str, *, lock_step: bool) -> Iterator[str]:
+    """Run `skewmi robot --backend sim` on a free port until the block is left.
+
+    The child ends with us even if we are killed: its standard input is a pipe of ours.
+
+    Args:
+        task: Whose scene.
+        limits: Name of the limit profile that it enforces.
+        lock_step: See `skewmi robot --help`.
+
+    Yields:
+        The Zenoh locator that it listens on.
+
+    Raises:
+        TransportError: It ended, or was not ready in time; with its own last words.
+    """
+    locator = f"tcp/127.0.0.1:{free_port()}"
+    command = [sys.executable, "-m", "skewmi.cli.main", "robot", "--backend", "sim"]
+    command += ["--task", task, "--limits", limits, "--listen", locator]
+    command += ["--json", "--end-with-input", *(["--lock-step"] if lock_step else [])]
+    with TemporaryFile() as words:
+        child = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=words,
+            # Ctrl-C reaches us alone: the arm shall brake before its robot goes away.
+            start_new_session=True,
+        )
+        try:
+            assert child.stdout is not None
+            watchdog = threading.Timer(_READY_TIMEOUT_S, child.kill)
+            watchdog.start()
+            ready = child.stdout.readline()
+            watchdog.cancel()
+            if not ready:
+                child.wait(_END_TIMEOUT_S)
+                words.seek(0)
+                said = words.read().decode(errors="replace").strip().splitlines()
+                raise TransportError(
+                    f"the simulated robot did not start: {said[-1] if said else 'it was silent'}"
+                )
+            yield locator
+        finally:
+            assert child.stdin is not None
+            child.stdin.close()
+            try:
+                child.wait(_END_TIMEOUT_S)
+            except subprocess.TimeoutExpired:
+                child.kill()
+                child.wait()
+            if child.stdout is not None:
+                child.stdout.close()
+
+
+def free_port() -> int:
+    """A TCP port on the loopback interface that nobody listens on at the moment."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])

@@ -1,0 +1,80 @@
+"""What a deployment did: outcome of each episode, limits, timing, stops."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from skewmi.deploy.limits import LimitUsage
+
+
+@dataclass(frozen=True)
+class EpisodeReport:
+    """One episode.
+
+    Attributes:
+        index: From 0.
+        outcome: `success`, `time over`, `stopped` or `fault`.
+        reason: Why it ended.
+        steps: Control steps that the policy was asked for.
+        seed: Of the start position.
+        final_observation: By field name, in the field's unit.
+    """
+
+    index: int
+    outcome: str
+    reason: str
+    steps: int
+    seed: int
+    final_observation: dict[str, float]
+
+
+@dataclass
+class DeployReport:
+    """All episodes of one `run_deploy`."""
+
+    task: str
+    robot: str
+    limit_profile: str
+    speed: float
+    lock_step: bool
+    dry_run: bool = False
+    planned_episodes: int = 0
+    episodes: list[EpisodeReport] = field(default_factory=list)
+    usage: LimitUsage = field(default_factory=LimitUsage)
+    """Largest use of each limit over all chunks that were sent, braking tails included."""
+    cycles: int = 0
+    cycle_ms: dict[str, float] = field(default_factory=dict)
+    stage_ms: dict[str, dict[str, float]] = field(default_factory=dict)
+    missed_cycles: int = 0
+    stops: list[str] = field(default_factory=list)
+    """Reasons of every episode that was stopped or ended in a fault."""
+    granted: list[str] = field(default_factory=list)
+    """What the operating system granted to the loop."""
+    files: list[str] = field(default_factory=list)
+    interrupted: bool = False
+
+    @property
+    def successes(self) -> int:
+        return sum(episode.outcome == "success" for episode in self.episodes)
+
+    @property
+    def success_rate(self) -> float:
+        return self.successes / len(self.episodes) if self.episodes else 0.0
+
+    @property
+    def faulted(self) -> bool:
+        return any(episode.outcome == "fault" for episode in self.episodes)
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON-serialisable, for `--json`; limits as fractions, times in ms."""
+        content = asdict(self)
+        content["per_episode"] = content.pop("episodes")
+        content["limit_fractions"] = content.pop("usage")
+        return {
+            "episodes": len(self.episodes),
+            "successes": self.successes,
+            "success_rate": self.success_rate,
+            "faulted": self.faulted,
+            **content,
+        }

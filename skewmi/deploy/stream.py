@@ -1,0 +1,181 @@
+"""The stream of chunks from planner to endpoint: stamped, checked, sent, timed.
+
+Every chunk is due `lead` after the state that it answers. The lead is the time that planning,
+link and jitter may take together; it is the same in lock-step, so that both modes move alike.
+If a chunk would come too late, the endpoint has begun to brake on the previous one; the stream
+then splices further along that braking tail, and the arm goes on without having stood still.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from skewmi.deploy.limits import LimitUsage
+from skewmi.deploy.messages import TrajectoryChunk, encode_chunk
+from skewmi.deploy.timing import CycleTimes
+from skewmi.policy_io import Array
+
+GRID_NS = 4_000_000
+CYCLE_NS = 20_000_000
+"""Planner cycle: 50 Hz."""
+CYCLE_TICKS = CYCLE_NS // GRID_NS
+
+LEAD_CYCLES = 2
+"""Cycles from the state that a chunk answers to the chunk's stamp: 40 ms, of which about 5 ms
+are used on an idle machine."""
+
+SEND_MARGIN_NS = 4_000_000
+"""A chunk that would be due sooner than this is not sent: it would probably come too late."""
+
+
+class Samples(Protocol):
+    """Samples of planned motion, as `planner.PlannedChunk`; each (n, 7)."""
+
+    @property
+    def q(self) -> Array: ...
+    @property
+    def v(self) -> Array: ...
+    @property
+    def a(self) -> Array: ...
+
+
+Check = Callable[[Array, Array, Array, tuple[Array, Array, Array]], LimitUsage | None]
+"""(q, v, a, motion in progress at the first sample) -> usage; raises LimitViolationError."""
+
+
+@dataclass
+class Sent:
+    """What the stream has sent last."""
+
+    stamp_ns: int
+    chunk: Samples
+
+    def at(self, stamp_ns: int) -> tuple[Array, Array, Array]:
+        """Commanded q, v, a at a time; at rest after the end."""
+        index = min(max((stamp_ns - self.stamp_ns) // GRID_NS, 0), len(self.chunk.q) - 1)
+        return self.chunk.q[index], self.chunk.v[index], self.chunk.a[index]
+
+    @property
+    def end_ns(self) -> int:
+        """When the arm rests if nothing newer comes."""
+        return self.stamp_ns + (len(self.chunk.q) - 1) * GRID_NS
+
+
+class ChunkStream:
+    """Sends chunks in the endpoint's time.
+
+    Args:
+        put: Publishes an encoded chunk; None sends nothing (dry run).
+        joint_names: Chain order.
+        checks: Each judges a chunk before it is sent.
+        lock_step: The endpoint waits, so nothing is ever late.
+        lead_cycles: See the module.
+    """
+
+    def __init__(
+        self,
+        put: Callable[[bytes], None] | None,
+        joint_names: tuple[str, ...],
+        checks: Sequence[tuple[str, Check]],
+        times: CycleTimes,
+        *,
+        lock_step: bool,
+        lead_cycles: int = LEAD_CYCLES,
+    ) -> None:
+        self._put = put
+        self._joint_names = joint_names
+        self._checks = checks
+        self._times = times
+        self._lock_step = lock_step
+        self._lead_ns = lead_cycles * CYCLE_NS
+        self._next_ns = 0
+        self.sent: Sent | None = None
+        self.usage = LimitUsage()
+        """Largest use of each limit over everything sent, braking tails included."""
+        self.missed_cycles = 0
+        """Cycles in which no chunk could be sent in time."""
+
+    def begin(self, q: Array, stamp_ns: int) -> None:
+        """Start from rest.
+
+        Args:
+            q: Where the endpoint holds the arm, rad. Shape (7,).
+            stamp_ns: Of the newest state; the first chunk is due `lead` after it.
+        """
+        rest = _Rest(np.tile(q, (CYCLE_TICKS + 1, 1)))
+        self._next_ns = stamp_ns + self._lead_ns
+        self.sent = Sent(self._next_ns - CYCLE_NS, rest)
+
+    def due(self, stamp_ns: int, received_ns: int) -> Iterator[int]:
+        """Splices of the chunks that are due now that a state has come.
+
+        Usually one per state; two if a state was lost; none right after a long delay.
+
+        Args:
+            stamp_ns: Of the state.
+            received_ns: When it came, on our monotonic clock.
+
+        Yields:
+            For each chunk, the sample of the previous chunk at which it must start. The caller
+            sends it with `send` before it asks for the next.
+        """
+        assert self.sent is not None
+        while self._next_ns <= stamp_ns + self._lead_ns:
+            late_ns = 0
+            if not self._lock_step:
+                now_ns = stamp_ns + time.monotonic_ns() - received_ns
+                late_ns = max(0, now_ns + SEND_MARGIN_NS - self._next_ns)
+            cycles = -(-late_ns // CYCLE_NS)
+            self.missed_cycles += cycles
+            self._next_ns += cycles * CYCLE_NS
+            yield (self._next_ns - self.sent.stamp_ns) // GRID_NS
+
+    def send(self, chunk: Samples) -> None:
+        """Check a chunk, and send it with the next stamp.
+
+        Raises:
+            LimitViolationError: A check found it wrong; nothing was sent.
+            TransportError: The link is closed.
+        """
+        assert self.sent is not None
+        previous = self.sent.at(self._next_ns)
+        for stage, check in self._checks:
+            usage = check(chunk.q, chunk.v, chunk.a, previous)
+            if usage is not None:
+                self.usage = self.usage.merged(usage)
+            self._times.lap(stage)
+        payload = encode_chunk(
+            TrajectoryChunk(
+                self._next_ns,
+                self._joint_names,
+                np.arange(len(chunk.q), dtype=np.int64) * GRID_NS,
+                chunk.q,
+                chunk.v,
+                chunk.a,
+            )
+        )
+        if self._put is not None:
+            self._put(payload)
+        self._times.lap("send")
+        self.sent = Sent(self._next_ns, chunk)
+        self._next_ns += CYCLE_NS
+
+
+@dataclass
+class _Rest:
+    """An arm that stands still."""
+
+    q: Array
+
+    @property
+    def v(self) -> Array:
+        return np.zeros_like(self.q)
+
+    @property
+    def a(self) -> Array:
+        return np.zeros_like(self.q)

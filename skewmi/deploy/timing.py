@@ -1,0 +1,56 @@
+"""How long each stage of a cycle takes."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+
+class CycleTimes:
+    """A stopwatch with named stages; each lap ends one stage and begins the next.
+
+    Adds integers to lists and nothing else, so that it can stay in the hot loop.
+    """
+
+    def __init__(self) -> None:
+        self._laps: dict[str, list[int]] = {}
+        self._cycles: list[int] = []
+        self._started_ns = 0
+        self._lap_ns = 0
+
+    def start(self, received_ns: int) -> None:
+        """Begin a cycle whose input arrived at `received_ns` (monotonic clock)."""
+        self._started_ns = received_ns
+        self._lap_ns = time.monotonic_ns()
+
+    def lap(self, stage: str) -> None:
+        """The time since the last lap, or the start, belonged to `stage`."""
+        now = time.monotonic_ns()
+        self._laps.setdefault(stage, []).append(now - self._lap_ns)
+        self._lap_ns = now
+
+    def stop(self) -> None:
+        """End the cycle."""
+        self._cycles.append(time.monotonic_ns() - self._started_ns)
+
+    @property
+    def cycles(self) -> int:
+        return len(self._cycles)
+
+    def cycle_percentiles_ms(self) -> dict[str, float]:
+        """From arrival of the state to the chunk on the wire, ms."""
+        return percentiles_ms(self._cycles)
+
+    def stage_percentiles_ms(self) -> dict[str, dict[str, float]]:
+        """The same for each stage."""
+        return {stage: percentiles_ms(laps) for stage, laps in self._laps.items()}
+
+
+def percentiles_ms(durations_ns: list[int]) -> dict[str, float]:
+    """p50, p99, p99.9 and the maximum of durations, ms; zeros of none."""
+    if not durations_ns:
+        return {"p50": 0.0, "p99": 0.0, "p99.9": 0.0, "max": 0.0}
+    values = np.array(durations_ns) / 1e6
+    p50, p99, p999 = np.percentile(values, (50.0, 99.0, 99.9))
+    return {"p50": float(p50), "p99": float(p99), "p99.9": float(p999), "max": float(values.max())}
