@@ -1,0 +1,178 @@
+"""What a `Link` hands out: publisher, reader of the newest sample, served service."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import zenoh
+
+from skewmi.deploy import messages, ros2_keys
+from skewmi.deploy.topics import Topic
+from skewmi.errors import SkewmiError, TransportError
+
+_log = logging.getLogger(__name__)
+
+_POLL_S = 20e-6
+"""Sleep between two looks at an empty channel; the kernel makes about 80 us of it."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A received message."""
+
+    payload: bytes
+    sequence: int
+    """The publisher's count, from 1; a gap means lost messages."""
+    source_time_ns: int
+    """Publisher's wall clock when it sent, ns since 1970."""
+    gid: bytes
+    """The publisher's global id, 16 bytes."""
+    received_ns: int
+    """`time.monotonic_ns` when it was taken out of the channel."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """A received service request."""
+
+    extra: bytes
+    """Bytes behind the Trigger request; empty from ROS 2 nodes."""
+    gid: bytes
+    """The client's global id; all zero if it sent none."""
+
+
+Handler = Callable[[Request], messages.TriggerReply]
+
+
+class Publisher:
+    """Sends payloads on one topic."""
+
+    def __init__(self, publisher: Any, entity_gid: bytes) -> None:
+        self._publisher = publisher
+        self.gid = entity_gid
+        """Global id of this publisher, as receivers see it."""
+        self.sequence = 0
+        """Number of payloads sent."""
+
+    def put(self, payload: bytes) -> None:
+        """Send; returns at once in real time, may block in lock-step.
+
+        Raises:
+            TransportError: The session is closed.
+        """
+        self.sequence += 1
+        attachment = ros2_keys.encode_attachment(self.sequence, time.time_ns(), self.gid)
+        try:
+            self._publisher.put(payload, attachment=attachment)
+        except zenoh.ZError as error:
+            raise TransportError(f"cannot publish: {error}") from error
+
+
+class LatestReader:
+    """The receiving end of a topic. Nothing here blocks but `wait`."""
+
+    def __init__(self, handler: Any, topic: Topic) -> None:
+        self._handler = handler
+        self._topic = topic
+        self._latest: Sample | None = None
+
+    def latest(self) -> Sample | None:
+        """Newest sample ever received, new or not; None if there was none."""
+        self.take()
+        return self._latest
+
+    def take(self) -> Sample | None:
+        """Newest sample if there is one that was not taken before, else None."""
+        samples = self.drain()
+        return samples[-1] if samples else None
+
+    def drain(self) -> list[Sample]:
+        """All unread samples, oldest first; samples without a proper attachment are left out."""
+        samples: list[Sample] = []
+        while (received := self._handler.try_recv()) is not None:
+            sample = _sample(received)
+            if sample is not None:
+                samples.append(sample)
+        if samples:
+            self._latest = samples[-1]
+        return samples
+
+    def wait(self, timeout_s: float) -> Sample:
+        """Wait for a sample that was not taken before; return the newest.
+
+        Raises:
+            TransportError: None came in time.
+        """
+        deadline = time.monotonic() + timeout_s
+        while (sample := self.take()) is None:
+            if time.monotonic() > deadline:
+                raise TransportError(f"no message on {self._topic.name} within {timeout_s:g} s")
+            time.sleep(_POLL_S)
+        return sample
+
+
+class Service:
+    """The serving end of a service."""
+
+    def __init__(self, handler: Handler, queries: Any, *, polled: bool) -> None:
+        self._handler = handler
+        self._queries = queries
+        if not polled:
+            # Not a Zenoh callback: their threads keep the interpreter from exiting.
+            threading.Thread(target=self._serve, name="skewmi-service", daemon=True).start()
+
+    def poll(self) -> int:
+        """Answer, in the calling thread, the requests that came since the last call; how many."""
+        answered = 0
+        while (query := self._queries.try_recv()) is not None:
+            self._answer(query)
+            answered += 1
+        return answered
+
+    def _serve(self) -> None:
+        try:
+            for query in self._queries:
+                self._answer(query)
+        except zenoh.ZError:
+            return  # the session was closed
+
+    def _answer(self, query: Any) -> None:
+        """Answer one Zenoh query. Nothing escapes: a failure becomes an unsuccessful reply."""
+        attachment = query.attachment.to_bytes() if query.attachment is not None else b""
+        try:
+            sequence, _, client = ros2_keys.decode_attachment(attachment)
+        except TransportError:
+            sequence, client = 0, bytes(16)
+        try:
+            payload = query.payload.to_bytes() if query.payload is not None else b""
+            extra = messages.decode_trigger_request(payload)
+            reply = self._handler(Request(extra, client))
+        except SkewmiError as error:
+            reply = messages.TriggerReply(False, str(error))
+        except Exception as error:
+            # A bug in a handler must not leave the caller waiting.
+            _log.exception("service handler failed")
+            reply = messages.TriggerReply(False, f"internal error: {error!r}")
+        # A reply repeats the request's sequence and client: that is how rmw matches them.
+        query.reply(
+            query.key_expr,
+            messages.encode_trigger_reply(reply),
+            express=True,
+            attachment=ros2_keys.encode_attachment(sequence, time.time_ns(), client),
+        )
+        query.drop()
+
+
+def _sample(received: Any) -> Sample | None:
+    if received.attachment is None:
+        return None
+    try:
+        attachment = ros2_keys.decode_attachment(received.attachment.to_bytes())
+    except TransportError:
+        return None
+    return Sample(received.payload.to_bytes(), *attachment, received_ns=time.monotonic_ns())

@@ -1,0 +1,164 @@
+"""CDR of trajectory_msgs/JointTrajectory for points that all have the same shape.
+
+A chunk of n points with d joints always has the same bytes but for stamp, times and numbers.
+So the bytes are laid out once (by rosbags, the reference) and patched in place after that,
+through a numpy view with one record per point. CDR aligns each number to its size, counted
+from the end of the four-byte header, so a point is
+
+    u32 d, [pad], d x f64,  u32 d, pad, d x f64,  u32 d, pad, d x f64,  u32 0,  i32 s, u32 ns
+
+and occupies 24 d + 32 bytes, whether its first pad is there or not: the first point of a
+message may begin on a multiple of eight and then has it, all others begin four bytes past one
+and have not. Records therefore start at a point's first number; the next point's count is
+their last field.
+"""
+
+from __future__ import annotations
+
+import struct
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skewmi.deploy import ros2_types
+from skewmi.deploy.topics import JOINT_TRAJECTORY
+
+Array = NDArray[np.float64]
+Fields = tuple[int, tuple[str, ...], NDArray[np.int64], Array, Array, Array]
+
+_NS_PER_S = 1_000_000_000
+_HEADER = b"\x00\x01\x00\x00"
+_STAMP = struct.Struct("<iI")
+_U32 = struct.Struct("<I")
+_MAX_JOINTS = 64
+
+
+@lru_cache(maxsize=64)
+def _record(joints: int) -> np.dtype[Any]:
+    """One point, from its first position to the count of the next point's positions."""
+    values = (np.dtype("<f8"), (joints,))
+    return np.dtype(
+        [
+            ("q", *values),
+            ("v_count", "<u4"),
+            ("v_pad", "<u4"),
+            ("v", *values),
+            ("a_count", "<u4"),
+            ("a_pad", "<u4"),
+            ("a", *values),
+            ("effort_count", "<u4"),
+            ("sec", "<i4"),
+            ("nanosec", "<u4"),
+            ("q_count", "<u4"),
+        ]
+    )
+
+
+@lru_cache(maxsize=256)
+def _template(names: tuple[str, ...], count: int) -> tuple[bytearray, Any]:
+    """A whole message with zeros in it, and the records inside it."""
+    make = ros2_types.message_class
+    zeros = np.zeros(len(names))
+    point = make("trajectory_msgs/msg/JointTrajectoryPoint")(
+        positions=zeros,
+        velocities=zeros,
+        accelerations=zeros,
+        effort=np.zeros(0),
+        time_from_start=make("builtin_interfaces/msg/Duration")(sec=0, nanosec=0),
+    )
+    stamp = make("builtin_interfaces/msg/Time")(sec=0, nanosec=0)
+    message = make(JOINT_TRAJECTORY)(
+        header=make("std_msgs/msg/Header")(stamp=stamp, frame_id=""),
+        joint_names=list(names),
+        points=[point] * count,
+    )
+    buffer = bytearray(ros2_types.encode(message, JOINT_TRAJECTORY))
+    record = _record(len(names))
+    # The last record's q_count lies beyond the message: four spare bytes, never sent.
+    start = len(buffer) + 4 - count * record.itemsize
+    buffer.extend(b"\x00" * 4)
+    return buffer, np.frombuffer(buffer, dtype=record, offset=start)
+
+
+def encode(
+    stamp_ns: int,
+    names: tuple[str, ...],
+    time_from_start_ns: NDArray[np.int64],
+    q: Array,
+    v: Array,
+    a: Array,
+) -> bytes:
+    """Bytes of a chunk; arguments as in `messages.TrajectoryChunk`, shapes agreeing.
+
+    Not thread-safe: the template is shared.
+    """
+    buffer, records = _template(names, len(q))
+    _STAMP.pack_into(buffer, 4, *divmod(int(stamp_ns), _NS_PER_S))
+    if len(q) and names:
+        records["q"] = q
+        records["v"] = v
+        records["a"] = a
+    if len(q):
+        seconds = time_from_start_ns // _NS_PER_S
+        records["sec"] = seconds
+        records["nanosec"] = time_from_start_ns - seconds * _NS_PER_S
+    return bytes(memoryview(buffer)[:-4])
+
+
+def decode(payload: bytes) -> Fields | None:
+    """Fields of a chunk, or None if the bytes are not of this regular shape."""
+    parsed = _parse_names(payload)
+    if parsed is None:
+        return None
+    stamp_ns, names, count, start = parsed
+    joints = len(names)
+    if not 0 < joints <= _MAX_JOINTS or count < 1:
+        return None
+    record = _record(joints)
+    first = start + 4 + (4 if (start - 4) % 8 == 0 else 0)
+    if len(payload) + 4 - first != count * record.itemsize:
+        return None
+    if _U32.unpack_from(payload, start)[0] != joints:
+        return None
+    records = np.frombuffer(payload + b"\x00" * 4, dtype=record, offset=first)
+    counts_agree = (
+        (records["v_count"] == joints).all()
+        and (records["a_count"] == joints).all()
+        and (records["effort_count"] == 0).all()
+        and (records["q_count"][:-1] == joints).all()
+    )
+    if not counts_agree:
+        return None
+    times = records["sec"].astype(np.int64) * _NS_PER_S + records["nanosec"]
+    q, v, a = (np.ascontiguousarray(records[name], dtype=np.float64) for name in "qva")
+    return stamp_ns, names, times, q, v, a
+
+
+def _parse_names(payload: bytes) -> tuple[int, tuple[str, ...], int, int] | None:
+    """Stamp, joint names, number of points and where they start; None if anything is odd."""
+    try:
+        if payload[:4] != _HEADER:
+            return None
+        sec, nanosec = _STAMP.unpack_from(payload, 4)
+        position = 12
+        position += 4 + _U32.unpack_from(payload, position)[0]
+        position += -position % 4
+        (joints,) = _U32.unpack_from(payload, position)
+        position += 4
+        if joints > _MAX_JOINTS:
+            return None
+        names = []
+        for _ in range(joints):
+            (length,) = _U32.unpack_from(payload, position)
+            position += 4
+            text = payload[position : position + length]
+            if length < 1 or len(text) != length or text[-1] != 0:
+                return None
+            names.append(text[:-1].decode())
+            position += length + -(position + length) % 4
+        (count,) = _U32.unpack_from(payload, position)
+        return sec * _NS_PER_S + nanosec, tuple(names), count, position + 4
+    except (struct.error, UnicodeDecodeError):
+        return None

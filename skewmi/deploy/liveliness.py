@@ -1,0 +1,58 @@
+"""Who is on the link: the liveliness tokens of all nodes, kept up to date by Zenoh.
+
+A sample carries only its publisher's gid; the token it is the hash of also names the session.
+That is how an endpoint knows that a chunk comes from the session that armed it, and that a
+commander has left. A crashed process may keep its tokens for the ten seconds of Zenoh's
+lease, so this is bookkeeping and no watchdog.
+"""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+import zenoh
+
+from skewmi.deploy import ros2_keys
+
+
+class Graph:
+    """Tokens alive in one ROS 2 domain. Thread-safe."""
+
+    def __init__(self, session: Any, domain: int) -> None:
+        self._lock = threading.Lock()
+        self._session_of: dict[bytes, str] = {}
+        self._tokens: set[str] = set()
+        # A channel drained on demand, not a callback: Zenoh runs callbacks in a thread that
+        # keeps the interpreter from exiting while the session is open.
+        self._subscriber = session.liveliness().declare_subscriber(
+            f"{ros2_keys.ADMIN_SPACE}/{domain}/**",
+            zenoh.handlers.RingChannel(10_000),
+            history=True,
+        )
+
+    def session_of(self, entity_gid: bytes) -> str | None:
+        """Zenoh id of the session an entity lives in; None if it is not (or no longer) there."""
+        with self._lock:
+            self._update()
+            return self._session_of.get(entity_gid)
+
+    def tokens(self) -> tuple[str, ...]:
+        """All tokens alive, sorted."""
+        with self._lock:
+            self._update()
+            return tuple(sorted(self._tokens))
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._subscriber.undeclare()
+
+    def _update(self) -> None:
+        while (sample := self._subscriber.handler.try_recv()) is not None:
+            token = str(sample.key_expr)
+            if sample.kind == zenoh.SampleKind.PUT:
+                self._tokens.add(token)
+                self._session_of[ros2_keys.gid(token)] = ros2_keys.session_of_token(token)
+            else:
+                self._tokens.discard(token)
+                self._session_of.pop(ros2_keys.gid(token), None)

@@ -1,0 +1,331 @@
+"""The message link between daemon and endpoint: Zenoh sessions that ROS 2 nodes understand.
+
+By default the endpoint listens on the loopback interface and everybody else connects to it;
+nothing is announced or searched on the network. The endpoint's session is a Zenoh *router*,
+so that it passes the daemon's commands on to recorders and ROS 2 nodes connected to it; no
+separate router has to run.
+
+Delivery. In real time a command that could not be sent at once is worthless, and a blocked
+send would stall the loop that keeps the arm safe: commands and states are dropped under
+congestion, commands go first (real-time priority) and none waits to be batched (express).
+In lock-step both sides wait for each other's next message, so a dropped one would hang the
+run: then sending blocks instead. Zenoh closes a session that stays blocked for five seconds,
+which in lock-step can only mean that the peer is gone.
+
+Threads: a `Link` and its readers belong to the thread that uses them; handlers of services
+declared without `polled` run in a thread each.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import zenoh
+
+from skewmi.deploy import messages, ros2_keys
+from skewmi.deploy.channels import Handler, LatestReader, Publisher, Sample, Service
+from skewmi.deploy.liveliness import Graph
+from skewmi.deploy.ros2_keys import QOS_BEST_EFFORT_1, QOS_RELIABLE_10, EntityKind
+from skewmi.deploy.topics import YUMI_DESCRIBE, Topic
+from skewmi.deploy.topics import Service as ServiceName
+from skewmi.errors import ConfigurationError, TransportError
+
+__all__ = ["DEFAULT_LOCATOR", "LatestReader", "Link", "Publisher", "Sample", "TransportConfig"]
+
+DEFAULT_LOCATOR = "tcp/127.0.0.1:7447"
+"""Where the endpoint listens; 7447 is also where ROS 2 nodes look for their router."""
+
+
+@dataclass(frozen=True)
+class TransportConfig:
+    """How to reach the others."""
+
+    connect: tuple[str, ...] = ()
+    """Zenoh locators to connect to, such as tcp/127.0.0.1:7447."""
+    listen: tuple[str, ...] = ()
+    """Zenoh locators to listen on."""
+    zenoh_config: Path | None = None
+    """Zenoh configuration file (JSON5 or YAML); `connect` and `listen`, if given, override it."""
+    lock_step: bool = False
+    """Block rather than drop when the link is congested."""
+    domain: int = 0
+    """ROS 2 domain."""
+    connect_timeout_s: float = 3.0
+    """How long opening waits for somebody to connect to, s."""
+
+    def __post_init__(self) -> None:
+        for locator in (*self.connect, *self.listen):
+            if not re.fullmatch(r"[a-z0-9]+/[^\s]+", locator):
+                raise ConfigurationError(
+                    f"{locator!r} is not a Zenoh locator; write one like {DEFAULT_LOCATOR}"
+                )
+        if not 0 <= self.domain <= 232:
+            raise ConfigurationError(f"ROS 2 domain {self.domain} is not in 0..232")
+
+    @staticmethod
+    def for_endpoint(listen: str = DEFAULT_LOCATOR, **options: Any) -> TransportConfig:
+        """Configuration of a robot endpoint."""
+        return TransportConfig(listen=(listen,), **options)
+
+    @staticmethod
+    def for_client(connect: str = DEFAULT_LOCATOR, **options: Any) -> TransportConfig:
+        """Configuration of a daemon, a stop command or a watcher."""
+        return TransportConfig(connect=(connect,), **options)
+
+    def zenoh(self) -> Any:
+        """The Zenoh configuration.
+
+        Raises:
+            ConfigurationError: The file is missing or Zenoh refuses it.
+        """
+        if self.zenoh_config is not None:
+            if not self.zenoh_config.is_file():
+                raise ConfigurationError(f"no Zenoh configuration file at {self.zenoh_config}")
+            try:
+                config = zenoh.Config.from_file(str(self.zenoh_config))
+            except zenoh.ZError as error:
+                raise ConfigurationError(
+                    f"Zenoh cannot use {self.zenoh_config}: {_first_line(error)}"
+                ) from error
+        else:
+            config = zenoh.Config()
+            config.insert_json5("mode", '"router"' if self.listen else '"client"')
+            config.insert_json5("scouting/multicast/enabled", "false")
+            config.insert_json5("scouting/gossip/enabled", "false")
+            config.insert_json5("listen/timeout_ms", "0")
+            config.insert_json5("listen/exit_on_failure", "true")
+            config.insert_json5("connect/timeout_ms", str(round(1e3 * self.connect_timeout_s)))
+            config.insert_json5("connect/exit_on_failure", "true")
+            config.insert_json5("connect/endpoints", "[]")
+            config.insert_json5("listen/endpoints", "[]")
+        if self.connect:
+            config.insert_json5("connect/endpoints", json.dumps(self.connect))
+        if self.listen:
+            config.insert_json5("listen/endpoints", json.dumps(self.listen))
+        return config
+
+    @property
+    def where(self) -> str:
+        """The locators, for messages."""
+        return ", ".join((*self.connect, *self.listen)) or str(self.zenoh_config)
+
+
+class Link:
+    """One Zenoh session seen as one ROS 2 node; a context manager that closes it."""
+
+    def __init__(self, session: Any, config: TransportConfig, node_name: str) -> None:
+        self._session = session
+        self._config = config
+        self._node = ros2_keys.Node(config.domain, str(session.zid()), node_name)
+        self._entities = 0
+        self._declared: list[Any] = []
+        self._clients: dict[str, tuple[bytes, int]] = {}
+        self._tokens: list[Any] = [
+            session.liveliness().declare_token(ros2_keys.node_token(self._node))
+        ]
+        self.graph = Graph(session, config.domain)
+
+    @staticmethod
+    def open(config: TransportConfig, node_name: str) -> Link:
+        """Open a session.
+
+        Args:
+            config: Where to connect or listen.
+            node_name: ROS 2 name of this node, without slashes.
+
+        Raises:
+            ConfigurationError: The Zenoh configuration file is missing or wrong.
+            TransportError: The port is taken, or nobody answers within `connect_timeout_s`.
+        """
+        zenoh_config = config.zenoh()
+        try:
+            session = zenoh.open(zenoh_config)
+        except zenoh.ZError as error:
+            raise _explain(error, config) from error
+        return Link(session, config, node_name)
+
+    @property
+    def session_id(self) -> str:
+        """Zenoh id of this session; `graph.session_of` gives the same for others."""
+        return self._node.session
+
+    def publisher(self, topic: Topic) -> Publisher:
+        """Declare a publisher; its `put` is meant for the hot loop."""
+        entity_gid = self._announce(EntityKind.PUBLISHER, topic, QOS_RELIABLE_10)
+        congestion = zenoh.CongestionControl
+        priority = zenoh.Priority
+        publisher = self._session.declare_publisher(
+            ros2_keys.data_key(self._config.domain, topic),
+            congestion_control=congestion.BLOCK if self._config.lock_step else congestion.DROP,
+            priority=priority.REAL_TIME if topic.command else priority.INTERACTIVE_HIGH,
+            express=True,
+        )
+        self._declared.append(publisher)
+        return Publisher(publisher, entity_gid)
+
+    def subscribe(self, topic: Topic, depth: int | None = 1) -> LatestReader:
+        """Subscribe to a topic.
+
+        Args:
+            topic: Which.
+            depth: How many unread samples are kept, the newest; None keeps all (up to 10,000,
+                then the oldest are dropped) for `drain`.
+        """
+        qos = QOS_BEST_EFFORT_1 if depth == 1 else QOS_RELIABLE_10
+        self._announce(EntityKind.SUBSCRIPTION, topic, qos)
+        subscriber = self._session.declare_subscriber(
+            ros2_keys.data_key(self._config.domain, topic),
+            zenoh.handlers.RingChannel(10_000 if depth is None else depth),
+        )
+        self._declared.append(subscriber)
+        return LatestReader(subscriber.handler, topic)
+
+    def service(self, name: ServiceName, handler: Handler, *, polled: bool = False) -> Service:
+        """Serve a service.
+
+        Args:
+            name: Which.
+            handler: Called with each request; what it returns is the reply, and what it
+                raises as SkewmiError becomes an unsuccessful reply with that message.
+            polled: Keep requests until `Service.poll` is called, and handle them in that
+                thread; else handle them at once in a thread of their own.
+        """
+        self._announce(EntityKind.SERVICE, name, QOS_RELIABLE_10)
+        queryable = self._session.declare_queryable(
+            ros2_keys.data_key(self._config.domain, name),
+            zenoh.handlers.RingChannel(64),
+            complete=True,
+        )
+        self._declared.append(queryable)
+        return Service(handler, queryable.handler, polled=polled)
+
+    def call(
+        self, name: ServiceName, timeout_s: float, request: bytes = b""
+    ) -> messages.TriggerReply:
+        """Call a service and wait for its reply.
+
+        Args:
+            name: Which.
+            timeout_s: How long to wait, s.
+            request: Extra bytes behind the (empty) Trigger request, for our own endpoints.
+
+        Raises:
+            TransportError: Nobody serves it, it did not answer in time, or not sensibly.
+        """
+        entity_gid, sequence = self._clients.get(name.name, (b"", 0))
+        if not entity_gid:
+            entity_gid = self._announce(EntityKind.CLIENT, name, QOS_RELIABLE_10)
+        sequence += 1
+        self._clients[name.name] = (entity_gid, sequence)
+        try:
+            replies = self._session.get(
+                ros2_keys.data_key(self._config.domain, name),
+                zenoh.handlers.FifoChannel(4),
+                target=zenoh.QueryTarget.ALL_COMPLETE,
+                consolidation=zenoh.ConsolidationMode.NONE,
+                timeout=timeout_s,
+                congestion_control=zenoh.CongestionControl.BLOCK,
+                priority=zenoh.Priority.INTERACTIVE_HIGH,
+                express=True,
+                payload=messages.encode_trigger_request(request),
+                attachment=ros2_keys.encode_attachment(sequence, time.time_ns(), entity_gid),
+            )
+            for reply in replies:
+                if reply.ok is not None:
+                    return messages.decode_trigger_reply(reply.ok.payload.to_bytes())
+        except zenoh.ZError as error:
+            raise TransportError(f"cannot call {name.name}: {_first_line(error)}") from error
+        raise TransportError(
+            f"no answer from {name.name} at {self._config.where} within {timeout_s:g} s"
+        )
+
+    def wait_for_endpoint(self, timeout_s: float) -> dict[str, Any]:
+        """Wait until a robot endpoint describes itself.
+
+        Returns:
+            Its description, as served by `/yumi/describe`.
+
+        Raises:
+            TransportError: None answers in time, or what answers is not one of ours.
+        """
+        deadline = time.monotonic() + timeout_s
+        while (remaining := deadline - time.monotonic()) > 0.0:
+            try:
+                reply = self.call(YUMI_DESCRIBE, min(remaining, 1.0))
+            except TransportError:
+                # An absent service is reported at once: ask again, but not in a tight loop.
+                time.sleep(min(0.05, max(0.0, deadline - time.monotonic())))
+                continue
+            try:
+                description = json.loads(reply.message)
+            except json.JSONDecodeError as error:
+                raise TransportError(
+                    f"the endpoint at {self._config.where} describes itself unreadably: {error}"
+                ) from error
+            if not isinstance(description, dict):
+                raise TransportError(
+                    f"the endpoint at {self._config.where} describes itself with "
+                    f"{reply.message[:80]!r} instead of a JSON object"
+                )
+            return description
+        raise TransportError(
+            f"no robot endpoint answers at {self._config.where} within {timeout_s:g} s; "
+            "start one with `skewmi robot`"
+        )
+
+    def close(self) -> None:
+        """Withdraw everything declared and close the session; safe to call twice."""
+        if self._session.is_closed():
+            return
+        # Tokens first, so that nobody waits for the 10 s lease to learn that we are gone.
+        for declared in (*self._tokens, *self._declared):
+            declared.undeclare()
+        self.graph.close()
+        self._session.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _announce(self, kind: EntityKind, topic: Topic | ServiceName, qos: str) -> bytes:
+        """Declare the liveliness token of a new entity; return its gid."""
+        self._entities += 1
+        token = ros2_keys.endpoint_token(self._node, self._entities, kind, topic, qos)
+        self._tokens.append(self._session.liveliness().declare_token(token))
+        return ros2_keys.gid(token)
+
+
+def _explain(error: Exception, config: TransportConfig) -> TransportError:
+    text = str(error)
+    if "in use" in text:
+        for locator in config.listen:
+            _, _, address = locator.partition("/")
+            host, _, port = address.rpartition(":")
+            return TransportError(
+                f"port {port} on {host} is in use: another endpoint or a Zenoh router runs there; "
+                "stop it or use --listen tcp/127.0.0.1:PORT"
+            )
+    if "connect" in text.lower():
+        return TransportError(
+            f"no robot endpoint answers at {config.where} within {config.connect_timeout_s:g} s; "
+            "start one with `skewmi robot`"
+        )
+    return TransportError(f"cannot open a Zenoh session at {config.where}: {_first_line(error)}")
+
+
+def _first_line(error: Exception) -> str:
+    """Zenoh's message without the places in its source that it appends."""
+    return re.sub(r" at /\S+:\d+\.", "", str(error)).splitlines()[0]
