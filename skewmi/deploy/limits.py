@@ -135,6 +135,7 @@ class ChunkChecker:
         a: Array,
         previous: tuple[Array, Array, Array] | None = None,
         *,
+        before: tuple[Array, Array, Array] | None = None,
         joint_names: Sequence[str] | None = None,
         time_from_start_ns: NDArray[np.int64] | None = None,
     ) -> LimitUsage:
@@ -145,7 +146,10 @@ class ChunkChecker:
             v: Velocities, rad/s. Shape (n, 7).
             a: Accelerations, rad/s^2. Shape (n, 7).
             previous: Position, velocity, acceleration, each (7,), of the motion in progress at
-                the time of the first sample; None for the first chunk, which must start at rest.
+                the time of the first sample; None if there is none: then the chunk must start
+                at rest, unless `before` is given.
+            before: The same one grid step earlier; the limits are then checked across the
+                splice as well.
             joint_names: As received; None if the chunk did not come over the wire.
             time_from_start_ns: As received, shape (n,); None likewise.
 
@@ -160,7 +164,12 @@ class ChunkChecker:
         self._check_form(q, v, a)
         if time_from_start_ns is not None:
             self._check_times(time_from_start_ns, len(q))
-        self._check_ends(q, v, a, previous)
+        self._check_ends(q, v, a, previous, from_rest=previous is None and before is None)
+        if before is not None:
+            for part in before:
+                if not np.isfinite(part).all():
+                    raise LimitViolationError("finite numbers", float("nan"), 0.0, "earlier motion")
+            q, v, a = (np.vstack(pair) for pair in zip(before, (q, v, a), strict=True))
         usage = self._check_joints(q, v, a)
         self._check_consistency(q, v, a)
         return usage if self._forward is None else self._check_hand(q, usage)
@@ -197,13 +206,20 @@ class ChunkChecker:
             )
 
     def _check_ends(
-        self, q: Array, v: Array, a: Array, previous: tuple[Array, Array, Array] | None
+        self,
+        q: Array,
+        v: Array,
+        a: Array,
+        previous: tuple[Array, Array, Array] | None,
+        *,
+        from_rest: bool,
     ) -> None:
         for name, array in (("velocity", v), ("acceleration", a)):
             _require(f"{name} at the end", np.abs(array[-1]), np.full(7, REST), 0.0)
-        if previous is None:
+        if from_rest:
             for name, array in (("velocity", v), ("acceleration", a)):
                 _require(f"{name} at the first start", np.abs(array[0]), np.full(7, REST), 0.0)
+        if previous is None:
             return
         parts = zip(
             ("position", "velocity", "acceleration"),
