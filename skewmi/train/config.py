@@ -217,6 +217,8 @@ class TrainConfig:
     """Name of the task, as the layout calls it."""
     preset: str = "custom"
     """Where the numbers started from."""
+    task_options: tuple[tuple[str, bool | int | float | str], ...] = ()
+    """Options the environment is made with: (name, value)."""
     seed: int = 0
     """Of networks, sampling and environment."""
     total_steps: int = 2_000_000
@@ -262,6 +264,7 @@ class TrainConfig:
             c: dict[str, Any] = json.loads(text)
             sac, replay, skew = c.pop("sac"), c.pop("replay"), c.pop("skew")
             rollout, measure = c.pop("rollout"), c.pop("measure")
+            c["task_options"] = tuple((n, v) for n, v in c["task_options"])
             sac["hidden"] = tuple(sac["hidden"])
             skew["field_weights"] = tuple((n, w) for n, w in skew["field_weights"])
             measure["grid"] = tuple(GridAxis(**axis) for axis in measure["grid"])

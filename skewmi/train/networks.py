@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor, nn
+from torch.nn import functional
 
 _LOG_TWO_PI = math.log(2.0 * math.pi)
 
@@ -29,7 +30,7 @@ def tanh_log_slope(u: Tensor) -> Tensor:
 
     log(1 - tanh(u)^2) = 2 (log 2 - u - softplus(-2u)): no difference of near equals.
     """
-    return (2.0 * (math.log(2.0) - u - F.softplus(-2.0 * u))).sum(-1)
+    return (2.0 * (math.log(2.0) - u - functional.softplus(-2.0 * u))).sum(-1)
 
 
 class Actor(nn.Module):
@@ -45,7 +46,7 @@ class Actor(nn.Module):
         super().__init__()
         sizes = (input_dim, *hidden)
         layers: list[nn.Module] = []
-        for i, o in zip(sizes[:-1], sizes[1:], strict=True):
+        for i, o in pairwise(sizes):
             layers += [nn.Linear(i, o), nn.ReLU()]
         layers.append(nn.Linear(sizes[-1], 2 * action_dim))
         self.body = nn.Sequential(*layers)
@@ -86,7 +87,7 @@ class Critics(nn.Module):
         self.layer_norm = layer_norm
         self.weights = nn.ParameterList()
         self.biases = nn.ParameterList()
-        for i, o in zip(sizes[:-1], sizes[1:], strict=True):
+        for i, o in pairwise(sizes):
             # The same bounds as torch.nn.Linear: uniform in +-1/sqrt(fan in).
             bound = 1.0 / math.sqrt(i)
             self.weights.append(nn.Parameter(torch.empty(members, i, o).uniform_(-bound, bound)))
@@ -99,6 +100,6 @@ class Critics(nn.Module):
             h = torch.baddbmm(bias, h, weight)
             if k < last:
                 if self.layer_norm:
-                    h = F.layer_norm(h, (h.shape[-1],))
+                    h = functional.layer_norm(h, (h.shape[-1],))
                 h = torch.relu(h)
         return h.squeeze(-1)

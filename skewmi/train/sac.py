@@ -70,15 +70,13 @@ class Sac:
         self.target = Critics(2, size, config.hidden, config.layer_norm).to(self.device)
         self.target.load_state_dict(self.critics.state_dict())
         self.target.requires_grad_(False)
-        self.log_temperature = torch.full(
-            (), config.initial_temperature, device=self.device
-        ).log_()
+        self.log_temperature = torch.full((), config.initial_temperature, device=self.device).log_()
         target = config.target_entropy
         self.target_entropy = -float(action_dim) if target is None else target
 
-        self._actor_parameters = [*self.actor.parameters()]
-        self._critic_parameters = [*self.critics.parameters()]
-        self._target_parameters = [*self.target.parameters()]
+        self._actor_parameters: list[Tensor] = [*self.actor.parameters()]
+        self._critic_parameters: list[Tensor] = [*self.critics.parameters()]
+        self._target_parameters: list[Tensor] = [*self.target.parameters()]
         rate = config.learning_rate
         # The temperature shares the actor's optimizer: one fused call less per update.
         self.actor_optimizer = torch.optim.Adam(
@@ -92,7 +90,8 @@ class Sac:
         """Actions for inputs (n, input_dim). Shape (n, action_dim)."""
         with torch.no_grad():
             if deterministic:
-                return torch.tanh(self.actor(inputs)[0])
+                mean: Tensor = self.actor(inputs)[0]
+                return torch.tanh(mean)
             return self.actor.sample(inputs, self._noise(len(inputs)))[0]
 
     def _noise(self, n: int) -> Tensor:
@@ -103,7 +102,7 @@ class Sac:
         """What the critics are regressed to. Shape (n,)."""
         with torch.no_grad():
             action, log_prob = self.actor.sample(batch.next_inputs, self._noise(len(batch)))
-            value = self.target(torch.cat((batch.next_inputs, action), -1)).amin(0)
+            value: Tensor = self.target(torch.cat((batch.next_inputs, action), -1)).amin(0)
             value = value - self.log_temperature.exp() * log_prob
             return batch.returns + batch.discounts * value
 

@@ -1,0 +1,123 @@
+"""Learn a task from its sparse reward with Skew-Explore, in a run directory.
+
+Writes config.json, metrics.csv, tb/ (TensorBoard) and checkpoints/ into the run directory. An
+interrupted run continues with --resume exactly as if it had not been.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+from skewmi.sim import tasks
+from skewmi.train import run
+from skewmi.train.checkpoint import read_run_header
+from skewmi.train.config import TrainConfig
+from skewmi.train.presets import preset
+from skewmi.train.run import TrainResult
+
+
+@dataclass(frozen=True)
+class TrainCommand:
+    """Options of `skewmi train`."""
+
+    run_dir: Path
+    """Directory of the run; created."""
+    task: str | None = None
+    """Task to learn: open_press_close or point_maze. Not needed with --resume."""
+    preset: Literal["improved", "paper"] = "improved"
+    """Where all numbers start from: ours, or the publication's."""
+    seed: int = 0
+    """Of networks, sampling and environment."""
+    resume: bool = False
+    """Continue the run in the directory, or start it if there is none yet."""
+    steps: int | None = None
+    """Environment steps in total; default: the preset's."""
+    minutes: float | None = None
+    """Stop after this much wall-clock time, minutes."""
+    stop_on_convergence: bool = False
+    """Stop when 90 +- 3 % of the last 10 states of the last 10 evaluated trajectories are
+    rewarded. Without --steps and --minutes this is the sensible way to end."""
+    num_envs: int | None = None
+    """Environments stepped together; default: the preset's."""
+    threads: int = 1
+    """Threads of the tensor library and of the simulation."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """Where the networks live."""
+    json: bool = False
+    """Print one JSON document on standard output at the end."""
+    quiet: bool = False
+    """No progress on standard error."""
+
+
+def resolve(options: TrainCommand) -> TrainConfig:
+    """The configuration that the options mean.
+
+    Raises:
+        NotFoundError: No such task or preset.
+        ConfigurationError: A value is not allowed.
+        CheckpointError: --resume without --task, and there is no run.
+    """
+    if options.resume and (options.run_dir / "config.json").exists():
+        config, _ = read_run_header(options.run_dir)
+    elif options.task is None:
+        config, _ = read_run_header(options.run_dir)  # says that there is no run here
+    else:
+        config = replace(
+            preset(options.task, options.preset),
+            seed=options.seed,
+            device=options.device,
+            threads=options.threads,
+        )
+        if options.num_envs is not None:
+            evaluation = min(config.rollout.evaluation_envs, max(options.num_envs - 1, 0))
+            rollout = replace(config.rollout, num_envs=options.num_envs, evaluation_envs=evaluation)
+            config = replace(config, rollout=rollout)
+    return replace(
+        config,
+        total_steps=config.total_steps if options.steps is None else options.steps,
+        minutes=options.minutes,
+        stop_on_convergence=options.stop_on_convergence,
+    )
+
+
+def train(options: TrainCommand) -> TrainResult:
+    """Make the environment and train."""
+    config = resolve(options)
+    env = tasks.make_batch(
+        config.task,
+        config.rollout.num_envs,
+        num_threads=config.threads,
+        seed=config.seed,
+        **dict(config.task_options),
+    )
+    return run.run_train(
+        config, env, options.run_dir, resume=options.resume, progress=not options.quiet
+    )
+
+
+def as_text(result: TrainResult) -> str:
+    """A few lines for people."""
+    lines = [
+        f"{result.steps:,} steps, {result.trajectories:,} trajectories in "
+        f"{result.seconds / 60:.1f} min (stopped by {result.stopped_by}); run: {result.run_dir}"
+    ]
+    lines += [
+        f"  first {name}: trajectory {first['trajectory']:,}"
+        for name, first in result.discoveries.items()
+    ]
+    converged = (
+        f"converged after {result.converged_at:,} trajectories"
+        if result.converged_at is not None
+        else f"not converged ({result.evaluation_share:.0%} of the last states rewarded)"
+    )
+    return "\n".join([*lines, f"  {converged}"])
+
+
+def run_train(options: TrainCommand) -> int:
+    """Train and print the result. Returns 0."""
+    result = train(options)
+    print(json.dumps(asdict(result), indent=2) if options.json else as_text(result))
+    return 0

@@ -1,0 +1,210 @@
+"""Gaussian and kernel densities, in the units of a `Scale`."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from skewmi.policy_io import Array, PolicyLayout
+
+_LOG_TWO_PI = math.log(2.0 * math.pi)
+
+
+def gaussian_log_density(x: Array, centre: Array, sigma: float) -> Array:
+    """log N(x; centre, sigma^2 I).
+
+    Args:
+        x: Shape (..., d).
+        centre: Broadcasts with x.
+        sigma: Standard deviation, same unit as x.
+
+    Returns:
+        Shape (...).
+    """
+    d = x.shape[-1]
+    squared = np.square(x - centre).sum(-1)
+    density: Array = -0.5 * squared / sigma**2 - d * math.log(sigma) - 0.5 * d * _LOG_TWO_PI
+    return density
+
+
+def kernel_log_density(
+    query: Array,
+    points: Array,
+    bandwidth: float,
+    *,
+    self_count: float = 0.0,
+    leave_one_out: bool = False,
+    single: bool = True,
+    chunk: int = 1 << 21,
+) -> Array:
+    """Log of a Gaussian kernel density estimate, in chunks that stay in cache.
+
+    p(x) = (sum_i K(x - y_i) + self_count K(0)) / (n + self_count), K = N(0, bandwidth^2 I).
+    With `self_count` every query counts as visited that often itself: no density is below
+    self_count K(0) / (n + self_count), so that a weight p^alpha cannot explode on an outlier.
+
+    Args:
+        query: Shape (m, d).
+        points: Shape (n, d).
+        bandwidth: Standard deviation of the kernel, same unit.
+        self_count: See above.
+        leave_one_out: The queries are the points, and none counts for itself.
+        single: Compute in float32: relative error of the density about 1e-3 at worst (at
+            coordinates of 100 bandwidths), five times faster than float64.
+        chunk: Pairs per chunk.
+
+    Returns:
+        Shape (m,); -inf where the density underflows.
+    """
+    n, d = points.shape
+    dtype = torch.float32 if single else torch.float64
+    # |x - y|^2 = |x|^2 + |y|^2 - 2 x.y loses digits far from the origin, so centre first.
+    centre = points.mean(0)
+    x = torch.as_tensor((query - centre) / bandwidth, dtype=dtype)
+    y = torch.as_tensor((points - centre) / bandwidth, dtype=dtype)
+    half_y = 0.5 * y.square().sum(1)
+    rows = max(1, chunk // n)
+    result = torch.empty(len(x), dtype=dtype)
+    for start in range(0, len(x), rows):
+        part = x[start : start + rows]
+        # log K up to its constant: x.y - |y|^2/2 - |x|^2/2, never above 0 but for rounding.
+        exponent = torch.addmm(half_y.neg(), part, y.T)
+        exponent.sub_(0.5 * part.square().sum(1, keepdim=True))
+        if leave_one_out:
+            index = torch.arange(len(part))
+            exponent[index, start + index] = -torch.inf
+        result[start : start + rows] = torch.logsumexp(exponent, 1)
+    if self_count > 0.0:
+        result = torch.logaddexp(result, torch.tensor(math.log(self_count), dtype=dtype))
+    count = n + self_count - (1.0 if leave_one_out else 0.0)
+    constant = math.log(count) + d * math.log(bandwidth) + 0.5 * d * _LOG_TWO_PI
+    log_density: Array = result.double().numpy() - constant
+    return log_density
+
+
+def trajectory_log_density(states: Array, bandwidth: float, *, causal: bool = True) -> Array:
+    """log p_tau at every state of trajectories (Eqs. 3-4 of Skew-Explore).
+
+    Args:
+        states: Shape (episodes, steps, d), in density units.
+        bandwidth: Of the Gaussian kernels, same unit.
+        causal: Kernels on the trajectory up to and including the state (the published code);
+            otherwise on all of the trajectory (the published equations).
+
+    Returns:
+        Shape (episodes, steps).
+    """
+    episodes, steps, d = states.shape
+    x = torch.as_tensor(states - states.mean((0, 1)), dtype=torch.float32) / bandwidth
+    exponent = torch.zeros(episodes, steps, steps)
+    for k in range(d):
+        exponent.addcmul_(*[x[:, :, None, k] - x[:, None, :, k]] * 2, value=-0.5)
+    if causal:
+        later = torch.ones(steps, steps, dtype=torch.bool).triu(1)
+        exponent.masked_fill_(later, -torch.inf)
+        counts = torch.arange(1, steps + 1, dtype=torch.float64)
+    else:
+        counts = torch.full((steps,), float(steps), dtype=torch.float64)
+    total = torch.logsumexp(exponent, 2).double() - counts.log()
+    log_density: Array = (total - d * math.log(bandwidth) - 0.5 * d * _LOG_TWO_PI).numpy()
+    return log_density
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Density units of a state: (state - offset) / unit * weight."""
+
+    offset: Array
+    unit: Array
+    weight: Array
+
+    def __call__(self, states: Array, *, weighted: bool) -> Array:
+        """States (..., d) in density units."""
+        scaled: Array = (states - self.offset) / self.unit
+        return scaled * self.weight if weighted else scaled
+
+    def inverse(self, scaled: Array, *, weighted: bool) -> Array:
+        """Undo `__call__`."""
+        states: Array = (scaled / self.weight if weighted else scaled) * self.unit + self.offset
+        return states
+
+
+class RunningMoments:
+    """Mean and variance of everything seen, per field (Chan's parallel update)."""
+
+    def __init__(self, dim: int) -> None:
+        self.count = 0.0
+        self.mean: Array = np.zeros(dim)
+        self.variance: Array = np.ones(dim)
+
+    def update(self, states: Array) -> None:
+        """Take in states of shape (n, dim)."""
+        n = float(len(states))
+        mean, variance = states.mean(0), states.var(0)
+        total = self.count + n
+        delta = mean - self.mean
+        squares = self.variance * self.count + variance * n + delta**2 * self.count * n / total
+        self.mean = self.mean + delta * n / total
+        self.variance = squares / total
+        self.count = total
+
+    def state(self) -> dict[str, object]:
+        """JSON-serialisable."""
+        return {
+            "count": self.count,
+            "mean": self.mean.tolist(),
+            "variance": self.variance.tolist(),
+        }
+
+    def load(self, state: dict[str, object]) -> None:
+        """Inverse of `state`."""
+        self.count = float(state["count"])  # type: ignore[arg-type]
+        self.mean = np.asarray(state["mean"], dtype=np.float64)
+        self.variance = np.asarray(state["variance"], dtype=np.float64)
+
+
+def unit_scale(layout: PolicyLayout, weights: tuple[tuple[str, float], ...] = ()) -> Scale:
+    """The layout's own units."""
+    d = layout.state_dim
+    return Scale(np.zeros(d), np.ones(d), field_weights(layout, weights))
+
+
+def running_scale(
+    layout: PolicyLayout,
+    moments: RunningMoments,
+    floor: float,
+    weights: tuple[tuple[str, float], ...] = (),
+) -> Scale:
+    """Running mean and standard deviation.
+
+    A field that has hardly moved yet would get a tiny unit, and its noise would fill the
+    density; `floor` is the smallest unit, as a share of half the field's nominal range.
+    """
+    half = np.array([0.5 * (field.high - field.low) for field in layout.state_fields])
+    unit = np.maximum(np.sqrt(moments.variance), np.maximum(floor * half, 1e-8))
+    return Scale(moments.mean.copy(), unit, field_weights(layout, weights))
+
+
+def field_weights(layout: PolicyLayout, weights: tuple[tuple[str, float], ...]) -> Array:
+    """Factor of each state field; 1 where none is given. Shape (state_dim,)."""
+    given = dict(weights)
+    return np.array([given.get(field.name, 1.0) for field in layout.state_fields])
+
+
+def random_rows(
+    states: Array, count: int, generator: np.random.Generator, *, replace: bool = True
+) -> Array:
+    """`count` rows drawn at random. Shape (count, d), or (n, d) if that is all there is."""
+    if not replace and count >= len(states):
+        return states
+    index: NDArray[np.int64] = (
+        generator.integers(len(states), size=count)
+        if replace
+        else generator.choice(len(states), size=count, replace=False)
+    )
+    rows: Array = states[index]
+    return rows

@@ -1,0 +1,89 @@
+"""From drawn transitions to a batch: reference points relabelled, rewards recomputed."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from skewmi.policy_io import Array
+from skewmi.train.config import TrainConfig
+from skewmi.train.inputs import InputMap
+from skewmi.train.replay import Index, Replay, Transitions
+from skewmi.train.sac import Batch
+from skewmi.train.skew_explore import RewardTerms
+
+
+def relabel(
+    drawn: Transitions,
+    replay: Replay,
+    proposals: Array,
+    future_share: float,
+    proposal_share: float,
+    generator: np.random.Generator,
+) -> Array:
+    """Reference points of drawn transitions.
+
+    A share gets a state reached later in its episode ("future", arXiv:1707.01495), a share one
+    of the present proposals, and the rest keeps the one it was collected with.
+
+    Args:
+        drawn: Transitions.
+        replay: Where they came from.
+        proposals: Present reference points. Shape (k, state_dim).
+        future_share: Probability of the first kind.
+        proposal_share: Probability of the second kind.
+        generator: Of the random choices.
+
+    Returns:
+        Shape (n, state_dim).
+    """
+    n = len(drawn.step)
+    kind = generator.random(n)[:, None]
+    future = replay.future_states(drawn.episode, drawn.step, generator)
+    proposed = proposals[generator.integers(len(proposals), size=n)]
+    goals: Array = np.where(
+        kind < future_share,
+        future,
+        np.where(kind < future_share + proposal_share, proposed, drawn.goal),
+    )
+    return goals
+
+
+def n_step_return(rewards: Array, length: Index, discount: float) -> Array:
+    """sum_{k < length} discount^k rewards_k.
+
+    Args:
+        rewards: Shape (n, n_step).
+        length: Integer. Shape (n,).
+        discount: Per step.
+
+    Returns:
+        Shape (n,).
+    """
+    k = np.arange(rewards.shape[1])
+    summed: Array = (rewards * np.where(k < length[:, None], discount**k, 0.0)).sum(1)
+    return summed
+
+
+def make_batch(
+    drawn: Transitions,
+    goals: Array,
+    terms: RewardTerms,
+    inputs: InputMap,
+    config: TrainConfig,
+    device: torch.device,
+) -> Batch:
+    """Rewards of all steps with the new reference points, summed, as tensors."""
+    sac = config.sac
+    rewards = terms.reward(drawn.states, goals[:, None, :], drawn.log_tau, drawn.rewards)
+    returns = n_step_return(rewards, drawn.length, sac.discount)
+    discounts = sac.discount**drawn.length
+    if not sac.bootstrap_at_timeout:
+        discounts = np.where(drawn.at_end, 0.0, discounts)
+    return Batch(
+        inputs=inputs(drawn.observation, goals).to(device),
+        actions=torch.from_numpy(np.ascontiguousarray(drawn.action)).to(device),
+        returns=torch.as_tensor(returns, dtype=torch.float32).to(device),
+        next_inputs=inputs(drawn.next_observation, goals).to(device),
+        discounts=torch.as_tensor(discounts, dtype=torch.float32).to(device),
+    )

@@ -1,0 +1,94 @@
+"""First times of things, and the published convergence criterion."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skewmi.errors import ConfigurationError
+from skewmi.policy_io import Array, PolicyLayout
+from skewmi.train.config import Event
+
+REWARD_EVENT = "reward"
+"""Name of the event that every run has: the first extrinsic reward."""
+
+
+class Discoveries:
+    """Trajectory and step number of each event's first time."""
+
+    def __init__(self, layout: PolicyLayout, events: tuple[Event, ...]) -> None:
+        names = layout.observation_names
+        for event in events:
+            unknown = [c.field for c in event.conditions if c.field not in names]
+            if unknown:
+                raise ConfigurationError(
+                    f"event {event.name!r} uses unknown fields {unknown}; fields are {list(names)}"
+                )
+        self._events = events
+        self._names = names
+        self.first: dict[str, dict[str, int]] = {}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return (*(event.name for event in self._events), REWARD_EVENT)
+
+    def add(self, observations: Array, rewards: Array, episodes: int, steps: int) -> list[str]:
+        """Look through finished episodes.
+
+        Args:
+            observations: After each step. Shape (n, steps, observation_dim).
+            rewards: Shape (n, steps).
+            episodes: Finished before these.
+            steps: Environment steps before these.
+
+        Returns:
+            Names of the events met for the first time.
+        """
+        new = []
+        for name in self.names:
+            if name in self.first:
+                continue
+            met = rewards > 0.0 if name == REWARD_EVENT else self._met(name, observations)
+            if met.any():
+                # Environments run side by side: the earliest step counts.
+                column = int(np.argmax(met.any(0)))
+                row = int(np.argmax(met[:, column]))
+                self.first[name] = {
+                    "trajectory": episodes + row + 1,
+                    "step": steps + (column + 1) * len(met),
+                }
+                new.append(name)
+        return new
+
+    def _met(self, name: str, observations: Array) -> NDArray[np.bool_]:
+        event = next(event for event in self._events if event.name == name)
+        met = np.ones(observations.shape[:-1], dtype=np.bool_)
+        for c in event.conditions:
+            value = observations[..., self._names.index(c.field)]
+            met &= (value >= c.low) & (value <= c.high)
+        return met
+
+
+class Convergence:
+    """Rewarded share of the last 10 states of the last 10 trajectories."""
+
+    STATES = 10
+    TRAJECTORIES = 10
+
+    def __init__(self, share: float, tolerance: float) -> None:
+        self.threshold = share - tolerance
+        self.shares: deque[float] = deque(maxlen=self.TRAJECTORIES)
+
+    def add(self, rewards: Array) -> None:
+        """Take in finished trajectories, rewards of shape (n, steps)."""
+        self.shares.extend((rewards[:, -self.STATES :] > 0.0).mean(1).tolist())
+
+    @property
+    def share(self) -> float:
+        return float(np.mean(self.shares)) if self.shares else 0.0
+
+    @property
+    def converged(self) -> bool:
+        return len(self.shares) == self.TRAJECTORIES and self.share >= self.threshold - 1e-9

@@ -1,0 +1,222 @@
+"""A whole run in a directory: start or resume, iterate, log, checkpoint, stop."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import torch
+
+from skewmi.batch_env import BatchEnv
+from skewmi.errors import CheckpointError, ConfigurationError
+from skewmi.policy_io import require_same_layout
+from skewmi.train.checkpoint import (
+    read_checkpoint,
+    read_run_header,
+    write_checkpoint,
+    write_run_header,
+)
+from skewmi.train.config import TrainConfig
+from skewmi.train.log import MetricsTable, ProgressBar
+from skewmi.train.memory import keep_freed_memory
+from skewmi.train.trainer import Trainer
+
+COLUMNS = (
+    "step",
+    "trajectories",
+    "updates",
+    "return",
+    "rewarded_share",
+    "rewarded_episodes",
+    "evaluation_return",
+    "evaluation_share",
+    "entropy",
+    "coverage",
+    "differential_entropy",
+    "covered_cells",
+    "critic_loss",
+    "actor_loss",
+    "value",
+    "temperature",
+    "policy_entropy",
+    "seconds_rollout",
+    "seconds_goals",
+    "seconds_update",
+    "seconds",
+)
+"""Of metrics.csv; `docs/skew-explore.md` says what each means."""
+
+TIME_COLUMNS = ("seconds_rollout", "seconds_goals", "seconds_update", "seconds")
+"""Columns that differ between two runs of the same seed."""
+
+# How a run is paced may change between its parts; what it computes may not.
+_PACE = ("total_steps", "minutes", "stop_on_convergence", "checkpoint_every")
+
+
+@dataclass(frozen=True)
+class TrainResult:
+    """What a run came to."""
+
+    run_dir: str
+    steps: int
+    trajectories: int
+    converged_at: int | None
+    """Trajectories after which the published criterion held first, or None."""
+    evaluation_share: float
+    """Rewarded share of the last 10 states of the last 10 evaluation trajectories."""
+    discoveries: dict[str, dict[str, int]]
+    """First trajectory and step of each event."""
+    stopped_by: str
+    """`steps`, `minutes` or `convergence`."""
+    seconds: float
+    """Of this part of the run, wall clock."""
+    figures: dict[str, float]
+    """Last row of the table."""
+
+
+def run_train(
+    config: TrainConfig,
+    env: BatchEnv,
+    run_dir: Path,
+    *,
+    resume: bool = False,
+    progress: bool = True,
+) -> TrainResult:
+    """Train in `run_dir` until a budget is spent or, if asked for, until convergence.
+
+    A run that was interrupted at any moment continues with `resume` exactly as if it had not
+    been: same table but for the times, same weights to the bit (on the same machine and
+    number of threads).
+
+    Args:
+        config: Everything about the run; when resuming, equal to what the run was started
+            with except for its pace (steps, minutes, stopping, checkpoint interval).
+        env: As many environments as the configuration says.
+        run_dir: Created; must not hold a run unless resuming.
+        resume: Continue from the latest checkpoint; with none yet, start.
+        progress: Bar on standard error.
+
+    Raises:
+        ConfigurationError: The environment does not fit, or the directory holds a run already.
+        CheckpointError: The checkpoint is damaged or of another run.
+        LayoutMismatchError: The checkpoint is of another observation or action layout.
+    """
+    run_dir = Path(run_dir)
+    if env.num_envs != config.rollout.num_envs:
+        raise ConfigurationError(
+            f"the environment has {env.num_envs} copies, the configuration "
+            f"{config.rollout.num_envs}"
+        )
+    if config.device == "cuda" and not torch.cuda.is_available():
+        raise ConfigurationError("device is cuda, but this machine has none; use --device cpu")
+    started = time.monotonic()
+    torch.set_num_threads(config.threads)
+    keep_freed_memory()
+    trainer, resumed_at = _open(config, env, run_dir, resume)
+    before = float(trainer_seconds(run_dir)) if resumed_at is not None else 0.0
+    table = MetricsTable(run_dir, COLUMNS, resumed_at)
+    figures: dict[str, float] = {}
+    try:
+        with ProgressBar(config.total_steps, progress) as bar:
+            while (stop := _stop_reason(config, trainer, time.monotonic() - started)) is None:
+                figures, new = trainer.iterate()
+                figures["seconds"] = before + time.monotonic() - started
+                # The row first: rows after the checkpoint are dropped on resuming, so a kill
+                # between the two costs neither a row nor doubles one.
+                table.write(figures)
+                if trainer.improved():
+                    tensors, state = trainer.tensors(), trainer.state()
+                    write_checkpoint(run_dir, trainer.steps, tensors, state, None, best=True)
+                if trainer.iteration % config.checkpoint_every == 0:
+                    _save(trainer, run_dir)
+                for name in new:
+                    first = trainer.discoveries.first[name]
+                    bar.note(f"first {name}: trajectory {first['trajectory']:,}")
+                bar.update(trainer.steps, trainer.iteration, _headline(figures))
+        if figures and trainer.iteration % config.checkpoint_every != 0:
+            _save(trainer, run_dir)
+    finally:
+        table.close()
+    return TrainResult(
+        run_dir=str(run_dir),
+        steps=trainer.steps,
+        trajectories=trainer.episodes,
+        converged_at=trainer.converged_at,
+        evaluation_share=trainer.convergence.share,
+        discoveries=trainer.discoveries.first,
+        stopped_by=stop,
+        seconds=time.monotonic() - started,
+        figures=figures,
+    )
+
+
+def _save(trainer: Trainer, run_dir: Path) -> None:
+    write_checkpoint(run_dir, trainer.steps, trainer.tensors(), trainer.state(), trainer.replay)
+
+
+def trainer_seconds(run_dir: Path) -> float:
+    """Wall-clock seconds that earlier parts of a run took."""
+    try:
+        last = (run_dir / "metrics.csv").read_text().strip().splitlines()[-1]
+        return float(last.split(",")[-1])
+    except (OSError, ValueError, IndexError):
+        return 0.0
+
+
+def _open(
+    config: TrainConfig, env: BatchEnv, run_dir: Path, resume: bool
+) -> tuple[Trainer, int | None]:
+    """The trainer, and the step of the checkpoint it continues from."""
+    exists = (run_dir / "config.json").exists()
+    if exists and not resume:
+        raise ConfigurationError(
+            f"{run_dir} holds a run already; continue it with --resume or choose another directory"
+        )
+    if exists:
+        earlier, layout = read_run_header(run_dir)
+        require_same_layout(env.layout, layout, f"the run in {run_dir}")
+        _require_same_config(config, earlier, run_dir)
+    write_run_header(run_dir, config, env.layout)
+    trainer = Trainer(config, env)
+    has_checkpoint = exists and any((run_dir / "checkpoints").glob("[0-9]*"))
+    if not has_checkpoint:
+        return trainer, (0 if exists else None)
+    checkpoint = read_checkpoint(run_dir)
+    if checkpoint.state.get("layout_hash") != env.layout.hash():
+        raise CheckpointError(f"checkpoint {checkpoint.path} was made for another layout")
+    trainer.load(checkpoint)
+    return trainer, trainer.steps
+
+
+def _require_same_config(config: TrainConfig, earlier: TrainConfig, run_dir: Path) -> None:
+    same_pace = replace(earlier, **{name: getattr(config, name) for name in _PACE})
+    if config == same_pace:
+        return
+    ours, theirs = asdict(config), asdict(same_pace)
+    parts = [name for name in ours if ours[name] != theirs[name]]
+    raise ConfigurationError(
+        f"the run in {run_dir} was started with another {', '.join(parts)}; resume it with the "
+        f"same configuration (only {', '.join(_PACE)} may change)"
+    )
+
+
+def _stop_reason(config: TrainConfig, trainer: Trainer, seconds: float) -> str | None:
+    if config.stop_on_convergence and trainer.convergence.converged:
+        return "convergence"
+    if trainer.steps >= config.total_steps:
+        return "steps"
+    if config.minutes is not None and seconds >= 60.0 * config.minutes:
+        return "minutes"
+    return None
+
+
+def _headline(figures: dict[str, float]) -> str:
+    shown = [f"{int(figures['trajectories']):,} trajectories"]
+    if "covered_cells" in figures:
+        shown.append(f"covered {figures['covered_cells']:.0%}")
+    if "entropy" in figures:
+        shown.append(f"entropy {figures['entropy']:.1f}")
+    shown.append(f"rewarded {figures['rewarded_share']:.0%}")
+    shown.append(f"converged {figures['evaluation_share']:.0%}")
+    return "  ".join(shown)
