@@ -80,8 +80,8 @@ def export_policy(
             must have "method" and "robot_model_hash" (None for a task without a robot).
 
     Raises:
-        VerificationError: The graph differs from torch by more than `TOLERANCE`, or gives
-            values that are not finite.
+        VerificationError: The graph differs from torch by more than `TOLERANCE`, or weights
+            or actions are not finite.
         PolicyFileError: The graph cannot be built, metadata are missing or not JSON, or the
             file cannot be written.
     """
@@ -97,23 +97,25 @@ def export_policy(
         )
     if observations.size == 0:
         raise PolicyFileError("an export is verified over observations; none were given")
+    count = observations.shape[0] * observations.shape[1]
+    document = {**policy.metadata, **(metadata or {}), **_layout_metadata(layout)}
+    missing = [key for key in policy_file.REQUIRED_KEYS if key not in document]
+    if missing:
+        raise PolicyFileError(f"a policy file needs the metadata {missing}; {path} is not written")
+    policy_file.encode_metadata(document)  # what is no JSON is refused before the long part
+    _require_finite(policy.module, layout)
     model = build_model(policy.module, layout)
     difference = max_difference(policy, model.SerializeToString(), observations)
     if not difference <= TOLERANCE:  # also when it is NaN
         raise VerificationError(
             f"the ONNX graph of task {layout.task!r} differs from torch by {difference:.3g} over "
-            f"{observations.shape[0] * observations.shape[1]} observations (allowed "
-            f"{TOLERANCE:g}); {path} is not written"
+            f"{count} observations (allowed {TOLERANCE:g}); {path} is not written"
         )
-    count = observations.shape[0] * observations.shape[1]
-    document = {
-        **policy.metadata,
-        **(metadata or {}),
-        **_generated_metadata(layout, count, difference),
+    document["verification"] = {
+        "observations": count,
+        "max_difference": difference,
+        "tolerance": TOLERANCE,
     }
-    missing = [key for key in policy_file.REQUIRED_KEYS if key not in document]
-    if missing:
-        raise PolicyFileError(f"a policy file needs the metadata {missing}; {path} is not written")
     for key, text in policy_file.encode_metadata(document).items():
         model.metadata_props.add(key=key, value=text)
     data = policy_file.seal(model.SerializeToString(deterministic=True))
@@ -196,6 +198,17 @@ def max_difference(policy: ExportablePolicy, model: bytes, observations: Array) 
     return float(np.max(differences))
 
 
+def _require_finite(module: torch.nn.Module, layout: PolicyLayout) -> None:
+    """ReLU and tanh hide an infinite weight from every comparison of outputs."""
+    tensors = module.state_dict().items()
+    bad = [name for name, value in tensors if not bool(torch.isfinite(value).all())]
+    if bad:
+        raise VerificationError(
+            f"the policy of task {layout.task!r} has weights that are not finite in "
+            f"{', '.join(bad[:5])}; nothing is written"
+        )
+
+
 def _torch_actions(policy: ExportablePolicy, observations: Array) -> Array:
     policy.reset()
     actions = np.stack([policy.act(step) for step in observations])
@@ -222,7 +235,7 @@ def _onnx_actions(model: bytes, observations: Array) -> Array:
     return np.stack(actions)
 
 
-def _generated_metadata(layout: PolicyLayout, count: int, difference: float) -> dict[str, Any]:
+def _layout_metadata(layout: PolicyLayout) -> dict[str, Any]:
     """What this module knows better than any run directory."""
     content = json.loads(layout.to_json())
     return {
@@ -240,11 +253,6 @@ def _generated_metadata(layout: PolicyLayout, count: int, difference: float) -> 
             "onnxruntime": onnxruntime.__version__,
             "numpy": np.__version__,
             "python": platform.python_version(),
-        },
-        "verification": {
-            "observations": count,
-            "max_difference": difference,
-            "tolerance": TOLERANCE,
         },
     }
 
