@@ -230,6 +230,10 @@ def _add_arm(
             name2=driving,
         )
         equality.data[:5] = (0.0, 1.0, 0.0, 0.0, 0.0)
+        # A rack and pinion is stiff: with the default impedance light fingers would slip apart
+        # by millimetres under a few newtons.
+        equality.solref[:2] = (0.01, 1.0)
+        equality.solimp[:3] = (0.9999, 0.9999, 0.001)
     if collision:
         _exclude_neighbours(spec, side)
 
