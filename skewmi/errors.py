@@ -39,6 +39,10 @@ class KinematicsError(SkewmiError):
     """A pose cannot be reached, or a configuration is outside the joint limits."""
 
 
+class SimulationError(SkewmiError):
+    """The physics engine left the states that mean anything, or pictures cannot be drawn."""
+
+
 class LimitViolationError(SkewmiError):
     """A command breaks a limit; carries the limit's name, the value and the bound."""
 

@@ -1,0 +1,47 @@
+"""Which states OpenPressClose can be in: a cheap outer bound for goals and densities."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skewmi.policy_io import Array, PolicyLayout
+from skewmi.robot_models import yumi
+
+MARGIN = 0.003
+"""How far contact may push the hand out of its box, m, and the softness of the stops, rad or m."""
+
+_TIP = yumi.GRIPPER.finger_origin_z + yumi.GRIPPER.finger_size[2]
+"""Distance from the flange to the fingertips, m."""
+_LID_TOP = 0.076
+_LID_EDGE = -0.010
+"""Height of the shut lid and where it ends at the hinge, world, m."""
+_LID_NEARLY_SHUT = 0.2
+"""Below this angle no finger gets under the lid, rad: its edge is less than 30 mm up."""
+
+
+def reachable(layout: PolicyLayout, state: Array) -> NDArray[np.bool_]:
+    """Whether states satisfy every bound and no fingertip would be below a shut lid.
+
+    An outer bound: it excludes the impossible cheaply and may let some impossible states pass.
+
+    Args:
+        layout: Of the task.
+        state: Fields in layout order. Shape (..., >= state_dim).
+
+    Returns:
+        Shape (...).
+    """
+    assert layout.workspace is not None
+    state = np.asarray(state, dtype=np.float64)
+    names = layout.observation_names
+    value = {name: state[..., i] for i, name in enumerate(names[: layout.state_dim])}
+    possible = np.ones(state.shape[:-1], dtype=np.bool_)
+    for field in layout.state_fields:
+        possible &= value[field.name] >= field.low - MARGIN
+        possible &= value[field.name] <= field.high + MARGIN
+    tip = value["hand_z"] - _TIP
+    inner_finger = value["hand_y"] - value["gripper"] - yumi.GRIPPER.finger_size[0]
+    below_lid = (tip < _LID_TOP - MARGIN) & (inner_finger < _LID_EDGE)
+    possible &= ~(below_lid & (value["lid_angle"] < _LID_NEARLY_SHUT))
+    return possible

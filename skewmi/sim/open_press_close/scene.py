@@ -1,0 +1,232 @@
+"""The model of OpenPressClose: robot and box in one MuJoCo model, and how to read and start it.
+
+Used by the batched environment and by the simulated robot endpoint alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from skewmi.policy_io import Array, PolicyLayout, Workspace
+from skewmi.robot_models import frames, kinematics, mjcf, servo, yumi
+from skewmi.sim.open_press_close import parts
+from skewmi.sim.open_press_close.definition import SIM_DT, make_layout
+from skewmi.sim.open_press_close.randomization import Randomization
+
+Index = NDArray[np.intp]
+
+HAND_FORCE_SENSOR = "hand_contact_force"
+"""Net contact force on hand and wrist (axis 6 and beyond), world axes, N."""
+ARM_FORCE_SENSOR = "arm_contact_force"
+"""Net contact force on the whole right arm with its hand, world axes, N."""
+
+_NETFORCE = 3
+"""`reduce` of a contact sensor that adds up all contacts (MJCF: reduce="netforce")."""
+
+
+def build_spec(servo_parameters: servo.ServoParameters = servo.DEFAULT) -> mujoco.MjSpec:
+    """Robot with position servos, table, box, sensors: everything but what changes per episode.
+
+    World frame: task world (table top at z = 0). Actuators: the seven arm joints, then the
+    fingers, each named as its joint and commanded in rad or m.
+    """
+    x, y, z = frames.BASE_IN_WORLD.tolist()
+    spec = mjcf.build_robot(
+        fingers="hooked", left_arm="parked", collision=True, base_position=(x, y, z)
+    )
+    mjcf.add_position_servos(spec, servo_parameters)
+    spec.modelname = "open_press_close"
+    spec.option.timestep = SIM_DT
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
+    spec.option.gravity = (0.0, 0.0, -9.81)
+    spec.visual.global_.offwidth = 1920
+    spec.visual.global_.offheight = 1080
+    spec.visual.headlight.ambient = (0.25, 0.25, 0.25)
+    spec.visual.headlight.diffuse = (0.25, 0.25, 0.25)
+
+    parts.add_parts(spec)
+    for name, body in ((HAND_FORCE_SENSOR, "yumi_link_7_r"), (ARM_FORCE_SENSOR, "yumi_link_1_r")):
+        spec.add_sensor(
+            name=name,
+            type=mujoco.mjtSensor.mjSENS_CONTACT,
+            objtype=mujoco.mjtObj.mjOBJ_XBODY,
+            objname=body,
+            intprm=[1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), _NETFORCE, 1],
+        )
+    return spec
+
+
+class OpenPressCloseScene:
+    """Compiled model with the addresses of everything that the task reads and writes.
+
+    Attributes:
+        model: The compiled model; time step 4 ms.
+        kinematics: Of the right arm.
+        arm_qpos: Position addresses of the arm joints, chain order. Shape (7,).
+        finger_qpos: Position addresses of the two fingers. Shape (2,).
+        arm_ctrl: Actuators of the arm joints, chain order. Shape (7,).
+        finger_ctrl: Actuator of the fingers.
+        lid_qpos, button_qpos: Position addresses.
+        hand_force, arm_force: Slices of `sensordata`, see the sensors' names.
+    """
+
+    def __init__(self, servo_parameters: servo.ServoParameters = servo.DEFAULT) -> None:
+        self.model: mujoco.MjModel = build_spec(servo_parameters).compile()
+        self.kinematics = kinematics.ArmKinematics("right")
+        joints = yumi.joint_names("right")
+        fingers = yumi.finger_names("right")
+        self.arm_qpos = np.array([self._qpos(name) for name in joints])
+        self.arm_dof = np.array([int(self.model.joint(name).dofadr[0]) for name in joints])
+        self.finger_qpos = np.array([self._qpos(name) for name in fingers])
+        self.lid_qpos = self._qpos("lid_hinge")
+        self.button_qpos = self._qpos("button_slide")
+        self.arm_ctrl = np.array([self.model.actuator(name).id for name in joints])
+        self.finger_ctrl = int(self.model.actuator(fingers[0]).id)
+        self.hand_force = self._sensor(HAND_FORCE_SENSOR)
+        self.arm_force = self._sensor(ARM_FORCE_SENSOR)
+
+    def _qpos(self, joint: str) -> int:
+        return int(self.model.joint(joint).qposadr[0])
+
+    def _sensor(self, name: str) -> slice:
+        sensor = self.model.sensor(name)
+        return slice(int(sensor.adr[0]), int(sensor.adr[0] + sensor.dim[0]))
+
+    def hand_pose(self, qpos: Array) -> tuple[Array, Array]:
+        """Hand frame by forward kinematics of the joint positions, as on the robot.
+
+        Args:
+            qpos: Positions of the whole model. Shape (..., nq).
+
+        Returns:
+            Position in world, m, shape (..., 3); rotation hand to world, shape (..., 3, 3).
+        """
+        position, rotation = self.kinematics.forward(qpos[..., self.arm_qpos])
+        return position + frames.BASE_IN_WORLD, rotation
+
+    def observation_values(self, qpos: Array, hand_position_w: Array) -> dict[str, Array]:
+        """Every observation field but time, for `assemble_observation`.
+
+        Args:
+            qpos: Positions of the whole model. Shape (..., nq).
+            hand_position_w: From `hand_pose`. Shape (..., 3).
+
+        Returns:
+            Each shape (...), in the unit of its field.
+        """
+        return {
+            "hand_x": hand_position_w[..., 0],
+            "hand_y": hand_position_w[..., 1],
+            "hand_z": hand_position_w[..., 2],
+            "gripper": qpos[..., self.finger_qpos].mean(axis=-1),
+            "lid_angle": qpos[..., self.lid_qpos],
+            "button_depth": qpos[..., self.button_qpos],
+        }
+
+    def start_positions(self, layout: PolicyLayout, hand_position_w: Array) -> Array:
+        """Joint positions that begin an episode: lid shut, button up, hand where asked.
+
+        Args:
+            layout: Gives start configuration, orientation and finger opening.
+            hand_position_w: Where the hand starts, world, m. Shape (n, 3).
+
+        Returns:
+            Positions of the whole model. Shape (n, nq).
+
+        Raises:
+            KinematicsError: The arm cannot reach a start.
+        """
+        workspace = workspace_of(layout)
+        start = np.tile(np.array(workspace.start_configuration), (len(hand_position_w), 1))
+        qpos = np.tile(self.model.qpos0, (len(hand_position_w), 1))
+        qpos[:, self.arm_qpos] = self.arm_positions(workspace, hand_position_w, start)
+        qpos[:, self.finger_qpos] = workspace.gripper_opening
+        qpos[:, self.lid_qpos] = 0.0
+        qpos[:, self.button_qpos] = 0.0
+        return qpos
+
+    def arm_positions(self, workspace: Workspace, hand_position_w: Array, q_near: Array) -> Array:
+        """Arm joints for a hand position, hand held as the workspace says, rad.
+
+        Args:
+            workspace: Gives the orientation and the posture to prefer.
+            hand_position_w: World, m. Shape (n, 3).
+            q_near: Where to search from: the present command. Shape (n, 7).
+
+        Returns:
+            Shape (n, 7).
+        """
+        result = self.kinematics.inverse(
+            hand_position_w - frames.BASE_IN_WORLD,
+            hand_rotation(workspace),
+            q_near,
+            posture=np.array(workspace.start_configuration),
+        )
+        q: Array = result.q
+        return q
+
+    def controls(self, arm_q: Array, finger_opening: Array | float) -> Array:
+        """Controls of all actuators: servo targets of arm (rad) and fingers (m).
+
+        Args:
+            arm_q: Chain order. Shape (..., 7).
+            finger_opening: Travel of each finger from closed. Shape (...).
+
+        Returns:
+            Shape (..., nu).
+        """
+        ctrl = np.empty((*arm_q.shape[:-1], self.model.nu))
+        ctrl[..., self.arm_ctrl] = arm_q
+        ctrl[..., self.finger_ctrl] = finger_opening
+        return ctrl
+
+    def reset(
+        self,
+        data: mujoco.MjData,
+        rng: np.random.Generator | None = None,
+        *,
+        layout: PolicyLayout | None = None,
+        randomization: Randomization | None = None,
+    ) -> None:
+        """Write the start of an episode into one MjData, and the servo targets that hold it.
+
+        Args:
+            data: Of `model`.
+            rng: Source of the start's variation; without it the start is the nominal one.
+            layout: Of the task; the default layout if not given.
+            randomization: What varies; the default if not given.
+        """
+        layout = make_layout() if layout is None else layout
+        randomization = Randomization() if randomization is None else randomization
+        starts = np.array([workspace_of(layout).start])
+        if rng is not None:
+            starts = randomization.sample_starts(layout, 1, rng)
+        mujoco.mj_resetData(self.model, data)
+        data.qpos[:] = self.start_positions(layout, starts)[0]
+        opening = workspace_of(layout).gripper_opening
+        data.ctrl[:] = self.controls(data.qpos[self.arm_qpos], opening)
+        mujoco.mj_forward(self.model, data)
+
+    def read(self, data: mujoco.MjData) -> Mapping[str, float]:
+        """Observation fields (without time) of one MjData, in the unit of each field."""
+        hand_position_w, _ = self.hand_pose(data.qpos)
+        values = self.observation_values(data.qpos, hand_position_w)
+        return {name: float(value) for name, value in values.items()}
+
+
+def workspace_of(layout: PolicyLayout) -> Workspace:
+    """The workspace, which every layout of this task has."""
+    assert layout.workspace is not None
+    return layout.workspace
+
+
+def hand_rotation(workspace: Workspace) -> Array:
+    """Rotation hand to world in which the hand is held. Shape (3, 3)."""
+    matrix = np.empty(9)
+    mujoco.mju_quat2Mat(matrix, np.array(workspace.hand_quaternion_wxyz))
+    return matrix.reshape(3, 3)

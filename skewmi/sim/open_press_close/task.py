@@ -1,0 +1,262 @@
+"""OpenPressClose as a batched environment on `mujoco.batch`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, cast
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from numpy.typing import NDArray
+
+from skewmi.batch_env import StepResult
+from skewmi.errors import ConfigurationError, SimulationError
+from skewmi.policy_io import (
+    TIME_FIELD,
+    Array,
+    PolicyLayout,
+    assemble_observation,
+    inside_region,
+    integrate_command,
+)
+from skewmi.robot_models import servo
+from skewmi.sim.checks import checked_action, checked_num_envs
+from skewmi.sim.open_press_close import definition, reach
+from skewmi.sim.open_press_close.randomization import Randomization
+from skewmi.sim.open_press_close.scene import OpenPressCloseScene, hand_rotation, workspace_of
+
+layout = definition.make_layout
+
+
+@dataclass(frozen=True)
+class Diagnostics:
+    """What the last step did to robot and scene. Each shape (num_envs,).
+
+    Attributes:
+        hand_force_peak: Largest net contact force on hand and wrist over the substeps, N.
+        hand_force_mean: Mean over the substeps of that force's size, N.
+        arm_force_peak: Largest net contact force on the arm without its hand, N.
+        hand_tilt: Angle between the hand and the orientation it should hold, rad.
+        hand_to_command: Distance of the measured hand from the commanded one, m.
+    """
+
+    hand_force_peak: Array
+    hand_force_mean: Array
+    arm_force_peak: Array
+    hand_tilt: Array
+    hand_to_command: Array
+
+
+class OpenPressCloseBatch:
+    """`num_envs` robots with a box each; satisfies `BatchEnv`.
+
+    A control step is the deployed command path: the action moves the commanded hand position
+    (`integrate_command`), inverse kinematics follows it from the commanded configuration, and
+    the servos' targets run linearly to the new one over the substeps.
+    """
+
+    num_envs: int
+    layout: PolicyLayout
+
+    def __init__(
+        self,
+        num_envs: int,
+        *,
+        num_threads: int = 0,
+        seed: int = 0,
+        gripper_action: bool = False,
+        time_input: bool = False,
+        randomization: Randomization | None = None,
+        servo_parameters: servo.ServoParameters = servo.DEFAULT,
+    ) -> None:
+        """Make the environment; call `reset` before `step`.
+
+        Args:
+            num_envs: How many robots.
+            num_threads: Threads that step them, 0 for all cores. Results do not depend on it.
+            seed: Of the start positions.
+            gripper_action: Whether the fingers' speed is a fourth action.
+            time_input: Whether the observation ends with step index / episode steps.
+            randomization: What differs between episodes; the default varies the hand's start.
+            servo_parameters: Of the arm's servos.
+
+        Raises:
+            ConfigurationError: A number is out of its range.
+        """
+        if num_threads < 0:
+            raise ConfigurationError(
+                f"num_threads is {num_threads}; it must be 0 (all cores) or more"
+            )
+        self.num_envs = checked_num_envs(num_envs)
+        self.layout = definition.make_layout(gripper_action=gripper_action, time_input=time_input)
+        self.scene = OpenPressCloseScene(servo_parameters)
+        self.batch = Batch(self.scene.model, self.num_envs, num_threads)
+        self._workspace = workspace_of(self.layout)
+        self._hand_rotation = hand_rotation(self._workspace)
+        self._randomization = Randomization() if randomization is None else randomization
+        self._rng = np.random.default_rng(seed)
+        self._step_index = -1
+        self._command_position_w = np.empty((self.num_envs, 3))
+        self._command_q = np.empty((self.num_envs, 7))
+        self._command_opening = np.empty(self.num_envs)
+        # Held from step to step, because allocating them costs as much as several substeps.
+        steps = definition.SUBSTEPS
+        self._fraction = (np.arange(1, steps + 1) / steps)[:, None]
+        self._targets = np.empty((self.num_envs, steps, self.scene.model.nu))
+        self._record = {
+            "sensordata": np.empty((self.num_envs, steps, self.scene.model.nsensordata))
+        }
+
+    def reset(self, seed: int | None = None) -> Array:
+        """Start new episodes everywhere; with a seed, restart the random streams from it.
+
+        Returns:
+            First observation. Shape (num_envs, observation_dim).
+        """
+        if seed is not None:
+            self._rng = np.random.default_rng(seed)
+        starts = self._randomization.sample_starts(self.layout, self.num_envs, self._rng)
+        qpos = self.scene.start_positions(self.layout, starts)
+        self._command_position_w = starts
+        self._command_q = qpos[:, self.scene.arm_qpos]
+        self._command_opening = np.full(self.num_envs, self._workspace.gripper_opening)
+        self.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+        self.batch.bind("qpos")[:] = qpos
+        self.batch.bind("ctrl")[:] = self.scene.controls(self._command_q, self._command_opening)
+        self.batch.warning[:] = 0
+        self._record["sensordata"][:] = 0.0
+        self._step_index = 0
+        self._read()
+        return self._observe()
+
+    def step(self, action: Array) -> StepResult:
+        """Apply actions in [-1, 1], clipped here. Shape (num_envs, action_dim).
+
+        Raises:
+            ConfigurationError: The action's shape is wrong or it is not finite, or there was no
+                reset, or the episode is over.
+            SimulationError: MuJoCo found a state that is not physical.
+        """
+        if not 0 <= self._step_index < self.layout.episode_steps:
+            raise ConfigurationError(
+                f"step {self._step_index + 1} of an episode of {self.layout.episode_steps} steps; "
+                "call reset first"
+            )
+        values = checked_action(action, self.num_envs, self.layout.action_dim)
+        self._move_command(values)
+        self.batch.rollout(
+            definition.SUBSTEPS, self._targets, record=("sensordata",), out=self._record
+        )
+        self._check_physics()
+        self._step_index += 1
+        self._read()
+        observation = self._observe()
+        inside = inside_region(self.layout, observation)
+        return StepResult(
+            observation=observation,
+            reward=inside.astype(np.float64),
+            success=inside,
+            truncated=self._step_index == self.layout.episode_steps,
+        )
+
+    def _move_command(self, action: Array) -> None:
+        """Turn actions into the servos' targets at every substep."""
+        before = self.scene.controls(self._command_q, self._command_opening)
+        self._command_position_w = integrate_command(
+            self.layout, self._command_position_w, action, self._hand_position_w
+        )
+        self._command_q = self.scene.arm_positions(
+            self._workspace, self._command_position_w, self._command_q
+        )
+        if self.layout.action_dim == 4:
+            travel = np.clip(action[:, 3], -1.0, 1.0) * self.layout.action_scale[3]
+            self._command_opening = np.clip(
+                self._command_opening + travel, 0.0, definition.FINGER_MAX
+            )
+        after = self.scene.controls(self._command_q, self._command_opening)
+        np.multiply((after - before)[:, None, :], self._fraction, out=self._targets)
+        self._targets += before[:, None, :]
+
+    def _check_physics(self) -> None:
+        bad = np.flatnonzero(self.batch.warning.any(axis=1))
+        if bad.size:
+            kinds = np.flatnonzero(self.batch.warning[bad].any(axis=0))
+            names = ", ".join(mujoco.mjtWarning(int(kind)).name for kind in kinds)
+            raise SimulationError(
+                f"the simulation of environments {bad[:5].tolist()} of {self.num_envs} broke down "
+                f"at step {self._step_index + 1} ({names}); check the servo and contact parameters"
+            )
+
+    def _read(self) -> None:
+        self._qpos = self.batch.bind("qpos")
+        self._hand_position_w, self._hand_rotation_w = self.scene.hand_pose(self._qpos)
+
+    def _observe(self) -> Array:
+        values: dict[str, Any] = self.scene.observation_values(self._qpos, self._hand_position_w)
+        values[TIME_FIELD] = self._step_index / self.layout.episode_steps
+        return assemble_observation(self.layout, values)
+
+    def compute_reward(self, state: Array) -> Array:
+        """1.0 for states in the reward region, else 0.0. Shape (..., >= state_dim) -> (...)."""
+        return inside_region(self.layout, state).astype(np.float64)
+
+    def reachable(self, state: Array) -> NDArray[np.bool_]:
+        """Whether the task can be in such states at all; see `reach.reachable`."""
+        return reach.reachable(self.layout, state)
+
+    def diagnostics(self) -> Diagnostics:
+        """Forces and tracking of the last step (zero forces after a reset)."""
+        sensor = self._record["sensordata"]
+        on_hand = sensor[..., self.scene.hand_force]
+        on_arm = sensor[..., self.scene.arm_force] - on_hand
+        hand_force = np.linalg.norm(on_hand, axis=-1)
+        relative = np.einsum("ji,njk->nik", self._hand_rotation, self._hand_rotation_w)
+        cosine = (np.trace(relative, axis1=1, axis2=2) - 1.0) / 2.0
+        return Diagnostics(
+            hand_force_peak=hand_force.max(axis=1),
+            hand_force_mean=hand_force.mean(axis=1),
+            arm_force_peak=np.linalg.norm(on_arm, axis=-1).max(axis=1),
+            hand_tilt=np.arccos(np.clip(cosine, -1.0, 1.0)),
+            hand_to_command=np.linalg.norm(
+                self._command_position_w - self._hand_position_w, axis=-1
+            ),
+        )
+
+    def random_state(self) -> dict[str, object]:
+        """JSON-serialisable state of the random stream."""
+        return {"generator": self._rng.bit_generator.state}
+
+    def set_random_state(self, state: dict[str, object]) -> None:
+        """Inverse of `random_state`.
+
+        Raises:
+            ConfigurationError: The state is not one of this environment's.
+        """
+        try:
+            rng = np.random.default_rng()
+            rng.bit_generator.state = cast(Mapping[str, Any], state["generator"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise ConfigurationError(f"not a random state of open_press_close: {error}") from error
+        self._rng = rng
+
+
+def make_batch(
+    num_envs: int,
+    *,
+    num_threads: int = 0,
+    seed: int = 0,
+    gripper_action: bool = False,
+    time_input: bool = False,
+    randomization: Randomization | None = None,
+) -> OpenPressCloseBatch:
+    """Make the batched environment; arguments as `OpenPressCloseBatch`."""
+    return OpenPressCloseBatch(
+        num_envs,
+        num_threads=num_threads,
+        seed=seed,
+        gripper_action=gripper_action,
+        time_input=time_input,
+        randomization=randomization,
+    )
