@@ -87,9 +87,9 @@ def is_free(position: Array) -> NDArray[np.bool_]:
     """
     position = np.asarray(position, dtype=np.float64)
     x, y = position[..., 0], position[..., 1]
-    (x_low, y_low), (x_high, y_high) = _WALLS[:, :2].min(axis=0), _WALLS[:, 2:].max(axis=0)
+    x_low, y_low, x_high, y_high = _FREE_BOUNDS
     free: NDArray[np.bool_] = (x > x_low) & (x < x_high) & (y > y_low) & (y < y_high)
-    for x_low, y_low, x_high, y_high in _WALLS:
+    for x_low, y_low, x_high, y_high in _INNER_WALLS:
         free &= (x < x_low) | (x > x_high) | (y < y_low) | (y > y_high)
     return free
 
@@ -132,9 +132,28 @@ def wall_rectangles() -> Array:
             height += 1
         left[row : row + height, column : column + width] = False
         rectangles.append((column, row, column + width, row + height))
+    return _to_world(np.array(rectangles))
+
+
+def _to_world(cells: NDArray[np.intp]) -> Array:
+    """Rectangles of cells (column, row, end column, end row) in m. Shape (..., 4)."""
     offset = np.array([START_CELL[1], START_CELL[0]] * 2) + 0.5
-    scaled: Array = (np.array(rectangles, dtype=np.float64) - offset) * CELL_SIZE
+    scaled: Array = (cells - offset) * CELL_SIZE
     return scaled
 
 
-_WALLS = wall_rectangles()
+_rows, _columns = np.nonzero(FREE_CELLS)
+_FREE_BOUNDS = _to_world(
+    np.array([_columns.min(), _rows.min(), _columns.max() + 1, _rows.max() + 1])
+).tolist()
+"""Rectangle around everything free, m: all beyond is wall or outside of the maze."""
+
+_INNER_WALLS = [
+    rectangle
+    for rectangle in wall_rectangles().tolist()
+    if rectangle[0] < _FREE_BOUNDS[2]
+    and rectangle[1] < _FREE_BOUNDS[3]
+    and rectangle[2] > _FREE_BOUNDS[0]
+    and rectangle[3] > _FREE_BOUNDS[1]
+]
+"""Walls inside of it: the others need no test of their own."""
