@@ -84,8 +84,8 @@ def check_seal(data: bytes, name: str) -> None:
     model, found = data[:-_SEAL_LENGTH], data[-_SEAL_LENGTH:]
     if SEAL_KEY.encode() not in found:
         raise PolicyFileError(
-            f"{name} is not a whole policy file of skewmi (its seal is missing): it is truncated, "
-            "edited or from another tool; write it with skewmi export-onnx"
+            f"{name} is not a whole policy file of skewmi: it is truncated, edited, or not an ONNX "
+            "model that skewmi export-onnx wrote"
         )
     if found != _seal_entry(hashlib.sha256(model).hexdigest()):
         raise PolicyFileError(

@@ -63,6 +63,8 @@ class OnnxPolicy:
         """
         path = Path(path)
         data = _read(path)
+        # First of all, so that no damaged byte ever reaches a parser.
+        policy_file.check_seal(data, str(path))
         options = onnxruntime.SessionOptions()
         # One thread: the graph is tiny, and waking a pool costs more than computing it.
         options.intra_op_num_threads = 1
@@ -79,8 +81,10 @@ class OnnxPolicy:
             raise PolicyFileError(f"{path} is not a readable ONNX model: {reason}") from error
         texts = session.get_modelmeta().custom_metadata_map
         metadata = policy_file.decode_metadata(texts, str(path))
-        policy_file.check_seal(data, str(path))
-        layout = PolicyLayout.from_json(texts[policy_file.LAYOUT_KEY])
+        try:
+            layout = PolicyLayout.from_json(texts[policy_file.LAYOUT_KEY])
+        except LayoutMismatchError as error:
+            raise LayoutMismatchError(f"{path}: {error}") from error
         if layout.hash() != metadata[policy_file.LAYOUT_HASH_KEY]:
             raise LayoutMismatchError(
                 f"{path}: its layout has hash {layout.hash()[:12]}, its metadata say "
