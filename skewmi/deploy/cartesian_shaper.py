@@ -4,18 +4,23 @@ The policy commands a position at the end of each control step. Between two comm
 *reference* r moves there on a straight line at constant speed, as the command does in training.
 The *shaped* position x follows it with bounded acceleration and jerk: each grid step, the velocity
 
-    u = r' + k (r - x)
+    u = r'(t) + k (r(t - T) - x(t))
 
-(the command's velocity plus feedback, so that x cannot drift from r and settles on it when the
-policy stops commanding) is cut to the speed limit and, towards each face of the box, to the
-speed from which a stop before the face is possible; ruckig's velocity interface then moves x's
-velocity towards u. A step after which the fastest stop would leave the box is replaced by that
-stop's first step, so that by induction x never leaves the box.
+is cut to the speed limit and, towards each face of the box, to the speed from which a stop before
+the face is possible; ruckig's velocity interface then moves x's velocity towards u. T is the time
+by which such a motion lags behind a step of u. Comparing x with the delayed reference means that
+the feedback does not try to catch up a lag that cannot be avoided, which would overshoot every
+stop by the braking distance; yet x cannot drift from r and settles on it when the policy stops.
+
+A step after which the fastest stop would leave the box is replaced by that stop's first step, so
+that by induction x never leaves the box.
 
 Vectors are in the task's world frame, m and s, shape (3,).
 """
 
 from __future__ import annotations
+
+from collections import deque
 
 import numpy as np
 import ruckig
@@ -23,18 +28,29 @@ import ruckig
 from skewmi.deploy.brake import Array, approach_speed, plan_stop
 
 FEEDBACK_GAIN = 5.0
-"""k, 1/s. The shaper answers after about 60 ms; k times that is 0.3 rad of phase: no overshoot
+"""k, 1/s. The shaper answers after about 50 ms; k times that is 0.25 rad of phase: no overshoot
 that matters."""
 
 
 class Reference:
-    """The commanded position in time: straight to each target, then at rest there."""
+    """The commanded position in time: straight to each target, then at rest there.
 
-    def __init__(self, position_w: Array) -> None:
+    Args:
+        position_w: Where it rests at first. Shape (3,).
+        delay_steps: T in calls of `advance`.
+    """
+
+    def __init__(self, position_w: Array, delay_steps: int) -> None:
         self.position_w = np.array(position_w, dtype=np.float64)
         self.velocity_w = np.zeros(3)
         self.target_w = self.position_w.copy()
         self._remaining_s = 0.0
+        self._past = deque([self.position_w] * (delay_steps + 1), maxlen=delay_steps + 1)
+
+    @property
+    def delayed_w(self) -> Array:
+        """r(t - T)."""
+        return self._past[0]
 
     def set_target(self, target_w: Array, duration_s: float) -> None:
         """Move to `target_w` at constant velocity within `duration_s`, from wherever it is."""
@@ -50,6 +66,7 @@ class Reference:
             self.position_w = self.target_w.copy()
         if self._remaining_s < -1e-9:
             self.velocity_w = np.zeros(3)
+        self._past.append(self.position_w)
 
 
 class CartesianShaper:
@@ -106,7 +123,7 @@ class CartesianShaper:
             leash: From this distance between x and the hand on, x moves no further away: an arm
                 that cannot follow (joint limit, singularity) must not be left behind.
         """
-        wanted = reference.velocity_w + FEEDBACK_GAIN * (reference.position_w - self.position_w)
+        wanted = reference.velocity_w + FEEDBACK_GAIN * (reference.delayed_w - self.position_w)
         ahead = self.position_w - hand_position_w
         distance = float(np.sqrt(ahead @ ahead))
         if distance > 0.5 * leash:

@@ -12,11 +12,14 @@ from skewmi.robot_models.frames import rotation_from_quaternion
 from skewmi.robot_models.kinematics import ArmKinematics, require_converged
 from skewmi.robot_models.limits import JointLimits
 
-MAX_ACCELERATION = 2.0
-"""Per axis, m/s^2."""
+MAX_ACCELERATION = 2.5
+"""Per axis, m/s^2; a quarter of what ABB's data sheet gives for the tool."""
 
-MAX_JERK = 40.0
-"""Per axis, m/s^3. With `MAX_ACCELERATION` it is what followed 150 mm/s well in trials."""
+MAX_JERK = 80.0
+"""Per axis, m/s^3: the acceleration is reached in 30 ms."""
+
+USUAL_SPEED = 0.15
+"""Speed of the tasks' actions, m/s, for which the lag is computed."""
 
 SHARE = 0.8
 """Part of the joint limits that the shaped hand motion may ask for; the rest is for feedback,
@@ -37,6 +40,16 @@ class HandBounds:
     acceleration: float
     jerk: float
 
+    @property
+    def lag_s(self) -> float:
+        """By how much the shaped motion lags behind a command that starts or stops, s.
+
+        Half of the time V / A + A / J in which V is reached, since the velocity rises
+        symmetrically.
+        """
+        speed = min(self.speed, USUAL_SPEED)
+        return 0.5 * (speed / self.acceleration + self.acceleration / self.jerk)
+
 
 def derive_hand_bounds(
     workspace: Workspace, kinematics: ArmKinematics, limits: JointLimits, tcp_speed: float
@@ -44,10 +57,11 @@ def derive_hand_bounds(
     """Bounds that the joints can follow everywhere in the box.
 
     With J^+ the pseudo-inverse of the Jacobian (constant orientation, so its first three columns
-    count), a hand acceleration u asks for joint accelerations J^+ u, up to terms in v^2. If all
-    three axes may use the acceleration alpha at once, joint j needs alpha sum_i |J^+_ji|. The
-    largest over start and corners of the box and over all joints decides; likewise for jerk. The
-    speed is bounded as a norm, so there the rows' 2-norms count.
+    count), a hand acceleration u asks for joint accelerations J^+ u, up to terms in v^2. Over all
+    directions of u, joint j needs at most |u| times the 2-norm of row j. The largest over start
+    and corners of the box and over all joints decides; likewise for jerk and speed. (Acceleration
+    and jerk are bounded per axis. Where several axes ask for theirs at once, the joint shaper
+    slows them down together.)
 
     Raises:
         ConfigurationError: The start configuration does not put the hand at the start.
@@ -67,11 +81,10 @@ def derive_hand_bounds(
     points = np.vstack([corners.reshape(3, 8).T, np.array(workspace.start)]) - base
     result = kinematics.inverse(points, rotation, start, max_iterations=50)
     require_converged(result)
-    inverse = np.abs(np.linalg.pinv(kinematics.jacobian(result.q))[:, :, :3])
-    per_axis = inverse.sum(axis=2).max(axis=0)
+    inverse = np.linalg.pinv(kinematics.jacobian(result.q))[:, :, :3]
     norm = np.linalg.norm(inverse, axis=2).max(axis=0)
     return HandBounds(
         speed=min(TCP_SHARE * tcp_speed, SHARE * float((limits.velocity / norm).min())),
-        acceleration=min(MAX_ACCELERATION, SHARE * float((limits.acceleration / per_axis).min())),
-        jerk=min(MAX_JERK, SHARE * float((limits.jerk / per_axis).min())),
+        acceleration=min(MAX_ACCELERATION, SHARE * float((limits.acceleration / norm).min())),
+        jerk=min(MAX_JERK, SHARE * float((limits.jerk / norm).min())),
     )

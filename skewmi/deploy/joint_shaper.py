@@ -12,7 +12,11 @@ HEADROOM = 0.999
 """Part of each bound that is used, so that rounding never shows as 100.0000001 %."""
 
 POSITION_MARGIN = 2e-3
-"""Distance that plans keep from the position bounds of the limit profile, rad."""
+"""Distance from the limit profile's position bounds at which motion is steered to stop, rad."""
+
+HARD_MARGIN = 1e-3
+"""Distance from them that every published chunk keeps, rad. It covers what a position can exceed
+the samples on both sides of it by, at most A h^2 / 8 = 3e-5 rad, many times over."""
 
 
 class JointShaper:
@@ -31,6 +35,8 @@ class JointShaper:
     def __init__(self, limits: JointLimits, grid_dt: float) -> None:
         self.lower = limits.position_lower + POSITION_MARGIN
         self.upper = limits.position_upper - POSITION_MARGIN
+        self.hard_lower = limits.position_lower + HARD_MARGIN
+        self.hard_upper = limits.position_upper - HARD_MARGIN
         self.velocity = HEADROOM * limits.velocity
         self.acceleration = HEADROOM * limits.acceleration
         self.jerk = HEADROOM * limits.jerk

@@ -124,7 +124,7 @@ class Planner:
             jerk=self.hand_bounds.jerk,
             grid_dt=grid_dt,
         )
-        self._reference = Reference(np.array(workspace.start))
+        self._reference = Reference(np.array(workspace.start), 0)
         self._chunk: PlannedChunk | None = None
 
     @property
@@ -155,11 +155,11 @@ class Planner:
         q = np.array(q, dtype=np.float64)
         if q.shape != (7,) or not np.isfinite(q).all():
             raise LimitViolationError("finite numbers", float("nan"), 0.0, f"configuration {q}")
-        beyond = np.maximum(self._joints.lower - q, q - self._joints.upper)
+        beyond = np.maximum(self._joints.hard_lower - q, q - self._joints.hard_upper)
         if (beyond > 0.0).any():
             worst = int(np.argmax(beyond))
-            below = q[worst] < self._joints.lower[worst]
-            bound = self._joints.lower if below else self._joints.upper
+            below = q[worst] < self._joints.hard_lower[worst]
+            bound = self._joints.hard_lower if below else self._joints.hard_upper
             raise LimitViolationError(
                 "joint position", float(q[worst]), float(bound[worst]), f"joint index {worst}"
             )
@@ -175,7 +175,9 @@ class Planner:
         rest = np.zeros(7)
         self._joints.restore(q, rest, rest)
         self._hand.reseed(position + self._base, np.zeros(3))
-        self._reference = Reference(self._hand.position_w)
+        self._reference = Reference(
+            self._hand.position_w, round(self.hand_bounds.lag_s / self._grid_dt)
+        )
         rows = self.samples_per_cycle + 1
         self._chunk = PlannedChunk(
             np.tile(q, (rows, 1)), np.zeros((rows, 7)), np.zeros((rows, 7)), "reset"
@@ -269,15 +271,14 @@ class Planner:
     def _breach(self, chunk: PlannedChunk, extent: tuple[Array, Array]) -> str | None:
         """Why a chunk must not be published, or None."""
         joints = self._joints
-        new = chunk.q[: self.samples_per_cycle + 1]
-        # Between two samples a position can exceed both by A h^2 / 8 at most.
-        bulge = joints.acceleration * self._grid_dt**2 / 8.0
-        low = np.minimum(new.min(axis=0) - bulge, extent[0])
-        high = np.maximum(new.max(axis=0) + bulge, extent[1])
-        if (low < joints.lower - bulge).any() or (high > joints.upper + bulge).any():
+        low = np.minimum(chunk.q.min(axis=0), extent[0])
+        high = np.maximum(chunk.q.max(axis=0), extent[1])
+        if (low < joints.hard_lower).any() or (high > joints.hard_upper).any():
             return "a joint could not stop before its position limit"
         position, _ = self._kinematics.forward(chunk.q)
-        if self._outside(position + self._base) > self._tolerance:
+        # A hand that rests on the tolerance itself must not be caught there by a rounding error.
+        allowed = max(self._tolerance, self._outside(position[0] + self._base) + 1e-12)
+        if self._outside(position + self._base) > allowed:
             return "the hand could not stop inside the workspace"
         steps = np.diff(position, axis=0)
         if float((steps * steps).sum(axis=1).max()) > (self._tcp_speed * self._grid_dt) ** 2:
