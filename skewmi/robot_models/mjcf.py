@@ -235,23 +235,8 @@ def _add_arm(
         equality.solref[:2] = (0.01, 1.0)
         equality.solimp[:3] = (0.9999, 0.9999, 0.001)
     if collision:
-        _exclude_neighbours(spec, side)
-
-
-def _exclude_neighbours(spec: mujoco.MjSpec, side: Side) -> None:
-    """Leave out the pairs that touch in every pose: torso and shoulder, links two apart.
-
-    Parent and child never collide in MuJoCo, except with the world; torso and link 1 are named
-    because the torso is welded to it.
-    """
-    letter = yumi.suffix(side)
-    chain = [yumi.BODY_NAME, *yumi.link_names(side), f"gripper_{letter}_base"]
-    # The fingers' equality keeps them apart, and the servo stops where the hook meets the other
-    # finger; contact between them would only let a model start jammed at zero travel.
-    fingers = (f"gripper_{letter}_finger_r", f"gripper_{letter}_finger_l")
-    pairs = [(chain[0], chain[1]), *zip(chain, chain[2:], strict=False), fingers]
-    for first, second in pairs:
-        spec.add_exclude(name=f"{first}-{second}", bodyname1=first, bodyname2=second)
+        for first, second in shapes.untested_pairs(side):
+            spec.add_exclude(name=f"{first}-{second}", bodyname1=first, bodyname2=second)
 
 
 def _set_inertial(body: Any, inertial: Inertial) -> None:

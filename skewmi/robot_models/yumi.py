@@ -212,13 +212,13 @@ HOME: dict[Side, tuple[float, ...]] = {
 """ABB's calibration and home pose, chain order, rad [A]."""
 
 PRESS_START_CONFIGURATION: tuple[float, ...] = (
-    1.093474689567,
-    -1.104380578876,
-    -1.159655319083,
-    0.81242501193,
-    -2.049920816521,
-    1.313912147012,
-    2.698715125665,
+    1.08840787256,
+    -1.092232981278,
+    -1.161771473331,
+    0.810646601243,
+    -2.045498898542,
+    1.302377094009,
+    2.703636228566,
 )
 """Right arm at the start of OpenPressClose: hand at (-0.009, -0.1345, 0.270) in the task world,
 straight down, rad, chain order. Found by `start_search`, which says how it was chosen."""
