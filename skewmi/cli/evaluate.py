@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from skewmi.cli.policies import Which, load_policy_from, make_env, progress_bar, task_options
-from skewmi.errors import ConfigurationError
+from skewmi.errors import ConfigurationError, LayoutMismatchError
 from skewmi.export.agents import RandomAgent, ZeroAgent
 from skewmi.export.rollout import run_episodes, summarise
 from skewmi.policy_io import Policy
@@ -59,6 +59,10 @@ def run_evaluate(options: EvaluateCommand) -> int:
     elif options.task is None:
         raise ConfigurationError(f"--agent {options.agent} needs --task")
     task = options.task or (policy.layout.task if policy is not None else "")
+    if policy is not None and policy.layout.task != task:
+        raise LayoutMismatchError(
+            f"{options.policy} was trained on task {policy.layout.task!r}, --task is {task!r}"
+        )
     env_options = task_options(task, policy.layout if policy is not None else None, options.option)
     env = make_env(
         task, options.num_envs, options.episodes, options.num_threads, options.seed, env_options

@@ -15,6 +15,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import hashlib
+import importlib.metadata
 import io
 import json
 import logging
@@ -252,6 +253,7 @@ def _layout_metadata(layout: PolicyLayout) -> dict[str, Any]:
             "onnx": onnx.__version__,
             "onnxruntime": onnxruntime.__version__,
             "numpy": np.__version__,
+            "mujoco": importlib.metadata.version("mujoco"),
             "python": platform.python_version(),
         },
     }
