@@ -138,6 +138,24 @@ class CartesianShaper:
         self._input.target_velocity = wanted.tolist()
         self._otg.calculate(self._input, self._trajectory)
         state = np.array(self._trajectory.at_time(self._grid_dt))
+        if self._may_leave(state):
+            self._stay_inside(state)
+        self.position_w, self.velocity_w, self.acceleration_w = state
+
+    def _may_leave(self, state: Array) -> bool:
+        """Whether a stop could need more room than there is, cheaply and on the safe side.
+
+        The present acceleration a, fading, covers at most |v a| / J + |a|^3 / 3 J^2 and adds
+        a^2 / 2J to the velocity; the stop from there takes what `approach_speed` says.
+        """
+        x, v, a = state[0], np.abs(state[1]), np.abs(state[2])
+        A, J = self._acceleration, self._jerk
+        peak = v + a * a / (2.0 * J)
+        room = v * a / J + a * a * a / (3.0 * J * J) + 0.5 * peak * (peak / A + A / J)
+        return bool((np.minimum(x - self.low, self.high - x) <= room).any())
+
+    def _stay_inside(self, state: Array) -> None:
+        """Replace the axes of a new state whose fastest stop leaves the box by a stop's step."""
         x, v, a = state
         low, high = plan_stop(x, v, a, self._acceleration, self._jerk).extent()
         leaves = (low < self.low) | (high > self.high)
@@ -147,7 +165,6 @@ class CartesianShaper:
             state[:, leaves] = np.stack([samples[0] for samples in stop])[:, leaves]
             # The stop itself stays inside up to rounding.
             state[0] = np.clip(state[0], self.low, self.high)
-        self.position_w, self.velocity_w, self.acceleration_w = state
 
     def _clip_speed(self, velocity_w: Array) -> Array:
         speed = float(np.sqrt(velocity_w @ velocity_w))

@@ -60,13 +60,18 @@ class JointShaper:
         down = approach_speed(self.q - self.lower, self.acceleration, self.jerk)
         return -np.minimum(self.velocity, down), np.minimum(self.velocity, up)
 
-    def step(self, wanted_velocity: Array) -> None:
-        """Advance by one grid step with the velocity moving towards `wanted_velocity`, (7,)."""
-        low, high = self.velocity_bounds()
+    def step(self, wanted: Array, low: Array, high: Array) -> None:
+        """Advance by one grid step, the velocity moving towards the wanted one.
+
+        Args:
+            wanted: rad/s. Shape (7,).
+            low: From `velocity_bounds`; `wanted` is clipped to them.
+            high: Likewise.
+        """
         self._input.current_position = self.q.tolist()
         self._input.current_velocity = self.v.tolist()
         self._input.current_acceleration = self.a.tolist()
-        self._input.target_velocity = np.clip(wanted_velocity, low, high).tolist()
+        self._input.target_velocity = np.minimum(np.maximum(wanted, low), high).tolist()
         self._otg.calculate(self._input, self._trajectory)
         self.q, self.v, self.a = np.array(self._trajectory.at_time(self._grid_dt))
 

@@ -46,6 +46,8 @@ LEASH = 0.010
 TOLERANCE_SHARE = 0.95
 """Part of the checker's workspace tolerance and tool speed that plans use."""
 
+_REST = np.zeros(7)
+
 
 @dataclass(frozen=True)
 class PlannedChunk:
@@ -172,8 +174,7 @@ class Planner:
                 f"by {np.degrees(tilt):.1f} deg; at most {1e3 * self._tolerance:.1f} mm and "
                 f"{np.degrees(MAX_START_TILT):.1f} deg are allowed; move to the start first"
             )
-        rest = np.zeros(7)
-        self._joints.restore(q, rest, rest)
+        self._joints.restore(q, _REST, _REST)
         self._hand.reseed(position + self._base, np.zeros(3))
         self._reference = Reference(
             self._hand.position_w, round(self.hand_bounds.lag_s / self._grid_dt)
@@ -254,7 +255,7 @@ class Planner:
         hand.step(self._reference, at, LEASH)
         low, high = joints.velocity_bounds()
         wanted = self._ik.solve(error_w - self._base, hand.velocity_w, low, high)
-        joints.step(np.zeros(7) if wanted is None else wanted)
+        joints.step(_REST if wanted is None else wanted, low, high)
 
     def _resume(self, chunk: PlannedChunk, index: int) -> None:
         """Continue from a sample of a chunk, and command the hand where it then is."""
