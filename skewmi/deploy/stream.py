@@ -61,16 +61,19 @@ class Sent:
         return self.chunk.q[index], self.chunk.v[index], self.chunk.a[index]
 
     @property
-    def end_ns(self) -> int:
-        """When the arm rests if nothing newer comes."""
-        return self.stamp_ns + (len(self.chunk.q) - 1) * GRID_NS
+    def rest_ns(self) -> int:
+        """When the arm rests if nothing newer comes: the first sample that all others equal."""
+        chunk = self.chunk
+        moves = (chunk.v != 0.0) | (chunk.a != 0.0) | (chunk.q != chunk.q[-1])
+        rows = np.flatnonzero(moves.any(axis=1))
+        return self.stamp_ns + (int(rows[-1]) + 1 if rows.size else 0) * GRID_NS
 
 
 class ChunkStream:
     """Sends chunks in the endpoint's time.
 
     Args:
-        put: Publishes an encoded chunk; None sends nothing (dry run).
+        put: Publishes an encoded chunk.
         joint_names: Chain order.
         checks: Each judges a chunk before it is sent.
         lock_step: The endpoint waits, so nothing is ever late.
@@ -79,7 +82,7 @@ class ChunkStream:
 
     def __init__(
         self,
-        put: Callable[[bytes], None] | None,
+        put: Callable[[bytes], None],
         joint_names: tuple[str, ...],
         checks: Sequence[tuple[str, Check]],
         times: CycleTimes,
@@ -159,8 +162,7 @@ class ChunkStream:
                 chunk.a,
             )
         )
-        if self._put is not None:
-            self._put(payload)
+        self._put(payload)
         self._times.lap("send")
         self.sent = Sent(self._next_ns, chunk)
         self._next_ns += CYCLE_NS

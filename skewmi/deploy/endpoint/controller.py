@@ -162,11 +162,12 @@ class EndpointController:
             if self.state is EndpointState.DISARMED:
                 self.lease.close()
 
-    def arm(self, gid: bytes, now_ns: int) -> None:
+    def arm(self, gids: bytes, now_ns: int) -> None:
         """Accept chunks from now on.
 
         Args:
-            gid: Publisher that becomes the commander; empty for the first that sends.
+            gids: Of the publishers of chunks and of gripper commands that become the commander,
+                16 bytes each; empty for the first that sends.
             now_ns: As in `receive`.
 
         Raises:
@@ -177,10 +178,11 @@ class EndpointController:
                 f"the endpoint is {self.state.value} ({self.machine.reason}); "
                 "stop it first (skewmi stop acknowledges a fault)"
             )
+        gid, gripper = gids[:16], gids[16:32]
         if self.state in ACCEPTS_COMMANDS and gid and gid == self.lease.holder:
             return
         self.lease.open(now_ns)
-        self.lease.holder = gid or None
+        self.lease.holder, self.lease.gripper_holder = gid or None, gripper or None
         # The arm may have sagged or been pushed while disarmed: hold where it is commanded.
         self._fire(EndpointEvent.ARM, f"armed by {gid.hex()[:8] or 'a service call'}")
 
@@ -217,8 +219,7 @@ class EndpointController:
         """
         if self.state not in ACCEPTS_COMMANDS:
             raise CommandRefusedError(f"the endpoint is {self.state.value}; arm it first")
-        if self.lease.holder is not None and gid != self.lease.holder:
-            raise CommandRefusedError("another commander holds the arm")
+        self.lease.check_gripper(gid)
         self._backend.open_gripper(opening)
 
     def _fire(self, event: EndpointEvent, reason: str) -> None:

@@ -21,6 +21,8 @@ class CommanderLease:
         self.holder: bytes | None = None
         self.sequence = 0
         """Sequence number of the last accepted message of the holder."""
+        self.gripper_holder: bytes | None = None
+        """The commander's publisher of gripper commands; None before it is known."""
         self._renewed_ns: int | None = None
 
     def open(self, now_ns: int) -> None:
@@ -39,6 +41,7 @@ class CommanderLease:
     def close(self) -> None:
         """Nobody commands."""
         self.holder = None
+        self.gripper_holder = None
         self.sequence = 0
         self._renewed_ns = None
 
@@ -60,6 +63,19 @@ class CommanderLease:
             raise CommandRefusedError(
                 f"sequence {sequence} does not follow {self.sequence}: repeated or overtaken"
             )
+
+    def check_gripper(self, gid: bytes) -> None:
+        """As `check`, for gripper commands; the first sender becomes the only one.
+
+        Raises:
+            CommandRefusedError: Names both.
+        """
+        if self.gripper_holder is not None and gid != self.gripper_holder:
+            raise CommandRefusedError(
+                f"sender {gid.hex()[:8]} is not the gripper's commander "
+                f"{self.gripper_holder.hex()[:8]}"
+            )
+        self.gripper_holder = gid
 
     def renew(self, gid: bytes, sequence: int, now_ns: int) -> None:
         """Note a chunk that was accepted after `check`."""

@@ -1,0 +1,285 @@
+"""The daemon: connects policy and endpoint, episode by episode, and always ends at rest.
+
+Nothing that goes wrong in an episode leaves `run`: it becomes a stop or a fault with its reason.
+Stopping means to send nothing more; the chunk that the endpoint accepted last ends at rest.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+
+import numpy as np
+
+from skewmi.deploy import topics
+from skewmi.deploy.daemon_states import DAEMON_TABLE, DaemonEvent, DaemonState
+from skewmi.deploy.episode import EpisodeRunner
+from skewmi.deploy.guard import Guard
+from skewmi.deploy.limits import ChunkChecker, LimitUsage
+from skewmi.deploy.messages import (
+    ERROR,
+    OK,
+    WARN,
+    Status,
+    encode_status,
+)
+from skewmi.deploy.observer import ArmState, Observer
+from skewmi.deploy.options import DeployOptions
+from skewmi.deploy.planner import Planner
+from skewmi.deploy.preflight import check_agreement
+from skewmi.deploy.realtime import hot_loop
+from skewmi.deploy.report import DeployReport, EpisodeReport
+from skewmi.deploy.robot_client import RobotClient, StopRequestedError
+from skewmi.deploy.state_machine import StateMachine, Transition
+from skewmi.deploy.stream import ChunkStream
+from skewmi.deploy.timing import CycleTimes
+from skewmi.deploy.transport import Link
+from skewmi.errors import ConfigurationError, SkewmiError, TransportError
+from skewmi.policy_io import Array, Policy
+from skewmi.robot_models import limits as joint_limits
+from skewmi.robot_models import yumi
+from skewmi.robot_models.frames import rotation_from_quaternion
+from skewmi.robot_models.kinematics import ArmKinematics
+
+_log = logging.getLogger(__name__)
+
+STATUS_NAME = "skewmi_deploy"
+
+
+class Daemon:
+    """Runs episodes of one policy on one endpoint.
+
+    Args:
+        policy: What decides.
+        options: How.
+        link: An open session to the endpoint.
+        report: Filled in as the run goes on.
+        stop: Set from outside to end the run with a smooth stop.
+        on_event: Told in words what happens.
+
+    Raises:
+        LayoutMismatchError: The endpoint is not what the policy was made for.
+        ConfigurationError: The endpoint's limits or pace differ.
+        TransportError: No endpoint answers.
+    """
+
+    def __init__(
+        self,
+        policy: Policy,
+        options: DeployOptions,
+        link: Link,
+        report: DeployReport,
+        stop: threading.Event,
+        on_event: Callable[[str], None],
+    ) -> None:
+        self._options = options
+        self._report = report
+        self._stop = stop
+        self._on_event = on_event
+        self._clock_ns = 0
+        self._status = link.publisher(topics.YUMI_STATUS)
+        self._machine = StateMachine(DAEMON_TABLE, self._on_transition)
+        limits = joint_limits.profile(options.limits).scaled(options.speed)
+        self._robot = RobotClient(link, STATUS_NAME, dry_run=options.dry_run)
+        description = self._robot.describe()
+        if description.lock_step != options.lock_step:
+            pace = {True: "in lock-step", False: "in real time"}
+            raise ConfigurationError(
+                f"the endpoint runs {pace[description.lock_step]}, this run is to be "
+                f"{pace[options.lock_step]}; give --lock-step to both or to none"
+            )
+        check_agreement(policy.layout, options.robot_model_hash, limits, description)
+        self._description = description
+        workspace = policy.layout.workspace
+        assert workspace is not None
+        self._workspace = workspace
+        self._layout = policy.layout
+        self._kinematics = ArmKinematics("right")
+        observations = link.publisher(topics.POLICY_OBSERVATION)
+        actions = link.publisher(topics.POLICY_ACTION)
+        self._observer = Observer(
+            link,
+            policy.layout,
+            yumi.joint_names("right"),
+            yumi.finger_names("right")[0],
+            lock_step=options.lock_step,
+            state_period_s=description.state_period_ns / 1e9,
+        )
+        self._times = CycleTimes()
+        self._boxed = False
+        forward = self._kinematics.forward
+        self._checkers = {
+            False: (ChunkChecker(limits, None, forward), Guard(limits, None)),
+            True: (ChunkChecker(limits, workspace, forward), Guard(limits, workspace)),
+        }
+        self._stream = ChunkStream(
+            self._robot.put_chunk,
+            description.joint_names,
+            (("check", self._check), ("guard", self._guard)),
+            self._times,
+            lock_step=options.lock_step,
+        )
+
+        def publish_policy(observation: bytes, action: bytes) -> None:
+            observations.put(observation)
+            actions.put(action)
+
+        self._runner = EpisodeRunner(
+            policy,
+            Planner(workspace, limits),
+            self._observer,
+            self._stream,
+            self._times,
+            limits,
+            speed=options.speed,
+            supervise=self._supervise,
+            resync=self._resync,
+            publish_policy=publish_policy,
+            publish_gripper=self._open_gripper,
+        )
+        self._fire(DaemonEvent.CONNECTED, f"{description.backend} robot, {description.task}")
+
+    @property
+    def state(self) -> DaemonState:
+        return self._machine.state
+
+    def run(self) -> None:
+        """Run all episodes; what happened is in the report."""
+        for index in range(self._options.episodes):
+            if index > 0:
+                self._fire(DaemonEvent.NEXT_EPISODE, f"episode {index + 1}")
+            with hot_loop(priority=not self._options.lock_step) as granted:
+                go_on = self._episode(index)
+            self._report.granted = granted
+            if not go_on:
+                break
+        self._fire(DaemonEvent.FINISH, "all episodes are over")
+        report = self._report
+        report.usage = self._stream.usage
+        report.cycles = self._times.cycles
+        report.cycle_ms = self._times.cycle_percentiles_ms()
+        report.stage_ms = self._times.stage_percentiles_ms()
+        report.missed_cycles = self._stream.missed_cycles
+
+    def _episode(self, index: int) -> bool:
+        """One episode; whether to go on with the next."""
+        seed = int(np.random.SeedSequence([self._options.seed, index]).generate_state(1)[0])
+        final, go_on = np.zeros(0), True
+        try:
+            state, q = self._preflight(seed)
+            self._fire(DaemonEvent.READY, "hashes and limits agree, states are fresh")
+            self._boxed = False
+            if not self._options.dry_run:
+                q_goal = self._start_configuration(seed, q)
+                state = self._runner.move_to(q, q_goal, state)
+                q = q_goal
+            self._fire(DaemonEvent.AT_START, "the arm rests at the start")
+            self._boxed = True
+            end = self._runner.run_policy(q, state)
+            final = end.observation
+            reason = "the task is solved" if end.success else f"{end.steps} steps are used up"
+            if end.held_back:
+                reason += f"; held back for {end.held_back} cycles ({end.held_back_reason})"
+            self._fire(DaemonEvent.SUCCESS if end.success else DaemonEvent.TIME_OVER, reason)
+        except StopRequestedError as error:
+            go_on = False
+            self._fire(DaemonEvent.STOP, str(error))
+        except TransportError as error:
+            go_on = False
+            self._fire(DaemonEvent.FAULT, str(error))
+        except SkewmiError as error:
+            self._fire(DaemonEvent.STOP, str(error))
+        except Exception as error:
+            _log.exception("the cycle failed")
+            go_on = False
+            self._fire(DaemonEvent.FAULT, f"{type(error).__name__}: {error}")
+        outcome, reason = self._machine.state, self._machine.reason
+        try:
+            self._robot.stop()
+        except SkewmiError as error:
+            go_on = False
+            self._fire(DaemonEvent.FAULT, str(error))
+            outcome, reason = DaemonState.FAULT, str(error)
+        self._fire(DaemonEvent.AT_REST, f"after {outcome.value}")
+        steps = self._runner.steps
+        words = "stopped" if outcome is DaemonState.STOPPING else outcome.value
+        if outcome in (DaemonState.STOPPING, DaemonState.FAULT):
+            self._report.stops.append(reason)
+        names = self._layout.observation_names[: len(final)]
+        values = dict(zip(names, map(float, final), strict=True))
+        self._report.episodes.append(EpisodeReport(index, words, reason, steps, seed, values))
+        self._on_event(f"episode {index + 1}: {words} after {steps} steps ({reason})")
+        return go_on and not self._stop.is_set()
+
+    def _preflight(self, seed: int) -> tuple[ArmState, Array]:
+        """Fresh states and an armed endpoint: the newest state, and where the arm is held."""
+        if self._stop.is_set():
+            raise StopRequestedError("interrupted")
+        # Armed first: a scene that somebody else works in must not be reset.
+        self._robot.arm()
+        if self._description.simulated:
+            self._robot.reset_scene(seed)
+        self._open_gripper(self._workspace.gripper_opening)
+        self._observer.forget()
+        state = self._observer.next_state()
+        self._observer.check_scene()
+        return state, np.array(self._robot.describe().commanded_position)
+
+    def _start_configuration(self, seed: int, q_near: Array) -> Array:
+        """Joint angles of this episode's start, drawn around the task's start position, rad."""
+        workspace, spread = self._workspace, self._options.start_spread
+        offset = np.random.default_rng(seed).uniform(-spread, spread, 3)
+        start = np.clip(np.array(workspace.start) + offset, workspace.low, workspace.high)
+        posture = np.array(workspace.start_configuration)
+        q = posture if np.abs(q_near - posture).max() > 0.5 else q_near
+        result = self._kinematics.inverse(
+            (start - np.array(workspace.base_position))[None],
+            rotation_from_quaternion(workspace.hand_quaternion_wxyz),
+            q[None],
+            posture=posture,
+        )
+        goal: Array = result.q[0]
+        return goal
+
+    def _check(
+        self, q: Array, v: Array, a: Array, previous: tuple[Array, Array, Array]
+    ) -> LimitUsage:
+        return self._checkers[self._boxed][0].check(q, v, a, previous)
+
+    def _guard(self, q: Array, v: Array, a: Array, previous: tuple[Array, Array, Array]) -> None:
+        self._checkers[self._boxed][1].check(q, v, a)
+
+    def _supervise(self, state: ArmState) -> None:
+        """Every cycle: has somebody asked to stop, and does the endpoint still follow?"""
+        self._clock_ns = state.stamp_ns
+        if self._stop.is_set():
+            raise StopRequestedError("interrupted")
+        self._robot.check(late_is_final=self._options.lock_step)
+
+    def _resync(self) -> tuple[Array, ArmState]:
+        q = self._robot.wait_for_hold()
+        self._stream.missed_cycles += 1
+        self._observer.forget()
+        return q, self._observer.next_state()
+
+    def _open_gripper(self, opening: float) -> None:
+        self._robot.open_gripper(opening, self._clock_ns)
+
+    def _fire(self, event: DaemonEvent, reason: str) -> None:
+        self._machine.fire(event, reason, self._clock_ns)
+
+    def _on_transition(self, transition: Transition[DaemonState]) -> None:
+        level = {DaemonState.FAULT: ERROR, DaemonState.STOPPING: WARN}.get(transition.target, OK)
+        values = {
+            "state": transition.target.value,
+            "reason": transition.reason,
+            "from": transition.source.value,
+            "event": transition.event,
+        }
+        message = f"{transition.target.value}: {transition.reason}"
+        status = Status(transition.stamp_ns, STATUS_NAME, level, message, values)
+        try:
+            self._status.put(encode_status(status))
+        except TransportError:
+            _log.warning("cannot report %s", transition)

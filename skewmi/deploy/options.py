@@ -1,0 +1,51 @@
+"""How a policy is run on a robot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from skewmi.errors import ConfigurationError
+
+
+@dataclass(frozen=True)
+class DeployOptions:
+    """Options of `run_deploy`; see `skewmi deploy --help`."""
+
+    episodes: int = 1
+    """How many."""
+    seed: int = 0
+    """Of the start positions; episode k of two runs with one seed starts alike."""
+    connect: str | None = None
+    """Zenoh locator of a running endpoint; None starts a simulated one and ends it afterwards."""
+    lock_step: bool = False
+    """Endpoint and daemon wait for each other: fast and repeatable. Simulated endpoints only."""
+    limits: str = "lab"
+    """Joint limit profile to plan with."""
+    speed: float = 1.0
+    """Share of the training's speed, 0.1..1; every control step takes 1 / speed times as long."""
+    start_spread: float = 0.005
+    """Half-width of the uniform offset of the hand's start, m per axis, as in training."""
+    dry_run: bool = False
+    """Do everything but send: the arm does not move."""
+    record: Path | None = None
+    """MCAP file to write."""
+    robot_model_hash: str | None = None
+    """Robot model that the policy was trained with, if its file tells."""
+    zenoh_config: Path | None = None
+    """Zenoh configuration file."""
+
+    def __post_init__(self) -> None:
+        if self.episodes < 1:
+            raise ConfigurationError(f"episodes is {self.episodes}; it must be at least 1")
+        if not 0.1 <= self.speed <= 1.0:
+            raise ConfigurationError(f"speed is {self.speed}; it must be in 0.1..1")
+        if not 0.0 <= self.start_spread <= 0.05:
+            raise ConfigurationError(
+                f"start_spread is {self.start_spread} m; it must be in 0..0.05 m"
+            )
+        if self.dry_run and self.lock_step:
+            raise ConfigurationError(
+                "a dry run sends nothing, and in lock-step time stands still until something is "
+                "sent; leave out --lock-step"
+            )

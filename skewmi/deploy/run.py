@@ -1,0 +1,79 @@
+"""Run a policy on a robot: `run_deploy` is everything `skewmi deploy` does but parse and print."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+
+from skewmi.deploy.daemon import Daemon
+from skewmi.deploy.endpoint_process import sim_endpoint_process
+from skewmi.deploy.options import DeployOptions
+from skewmi.deploy.report import DeployReport
+from skewmi.deploy.transport import Link, TransportConfig
+from skewmi.policy_io import Policy
+from skewmi.robot_models import limits as joint_limits
+
+NODE_NAME = "skewmi_deploy"
+
+
+def run_deploy(
+    policy: Policy,
+    options: DeployOptions,
+    *,
+    stop: threading.Event | None = None,
+    on_event: Callable[[str], None] | None = None,
+) -> DeployReport:
+    """Run episodes of a policy on a robot endpoint.
+
+    Args:
+        policy: An ONNX policy, or anything else that acts on observations of its layout.
+        options: Which robot, how many episodes, how fast.
+        stop: Set it from anywhere to bring the arm smoothly to rest and end the run.
+        on_event: Told in words what happens, for progress.
+
+    Returns:
+        What happened. Trouble during an episode is in the report, not raised.
+
+    Raises:
+        NotFoundError: No such limit profile.
+        TransportError: No endpoint answers, or the simulated one does not start.
+        LayoutMismatchError: The endpoint is not what the policy was made for.
+        ConfigurationError: Limits or pace of the endpoint differ.
+    """
+    stop = threading.Event() if stop is None else stop
+    tell = (lambda text: None) if on_event is None else on_event
+    profile = joint_limits.profile(options.limits)
+    report = DeployReport(
+        task=policy.layout.task,
+        robot=options.connect or "sim",
+        limit_profile=profile.name,
+        speed=options.speed,
+        lock_step=options.lock_step,
+        dry_run=options.dry_run,
+        planned_episodes=options.episodes,
+    )
+    endpoint: AbstractContextManager[str]
+    if options.connect is not None:
+        endpoint = nullcontext(options.connect)
+    else:
+        tell("starting the simulated robot in its own process")
+        endpoint = sim_endpoint_process(
+            policy.layout.task, profile.name, lock_step=options.lock_step
+        )
+    with endpoint as locator:
+        config = TransportConfig.for_client(
+            locator, lock_step=options.lock_step, zenoh_config=options.zenoh_config
+        )
+        with Link.open(config, NODE_NAME) as link:
+            link.wait_for_endpoint(5.0)
+            daemon = Daemon(policy, options, link, report, stop, tell)
+            with _recording(options, locator, report):
+                daemon.run()
+    report.interrupted = stop.is_set()
+    return report
+
+
+@contextmanager
+def _recording(options: DeployOptions, locator: str, report: DeployReport) -> Iterator[None]:
+    yield
