@@ -142,13 +142,13 @@ def summarise(episodes: Episodes) -> dict[str, object]:
     Returns:
         "episodes", "successes", "success_rate", "success_rate_interval_95" (Wilson),
         "first_success_step" and "first_success_time_s" (min, median, mean, max over successful
-        episodes; None without any), "share_of_steps_in_region", and per observation field
+        episodes; None without any), "share_of_steps_in_region", and per state field
         "final_state" (min, mean, max, std over episodes, in the field's unit).
     """
     first = episodes.first_success_step
     successes, trials = int((first > 0).sum()), int(first.size)
     steps = first[first > 0]
-    names = episodes.layout.observation_names
+    names = [field.name for field in episodes.layout.state_fields]
     return {
         "episodes": trials,
         "successes": successes,
@@ -159,7 +159,9 @@ def summarise(episodes: Episodes) -> dict[str, object]:
         "share_of_steps_in_region": float(episodes.in_region.mean()),
         "final_state": {
             name: _spread(column) | {"std": float(column.std())}
-            for name, column in zip(names, episodes.final_observation.T, strict=True)
+            for name, column in zip(
+                names, episodes.final_observation[:, : len(names)].T, strict=True
+            )
         },
     }
 
