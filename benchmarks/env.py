@@ -6,12 +6,12 @@ bare `mujoco.batch` that is left when everything that makes it a task (inverse k
 interpolation, observation, reward, checks) is added.
 
 How the ratio is measured: an untimed pass records the whole simulation state before each control
-step and the servo targets after it. The timed pass then replays the same episodes in blocks of
-control steps, alternately through the environment and through a bare `Batch` of the same model,
-size and number of threads, which at each control step is put into the recorded state (not timed),
-gets the recorded targets, and does the same number of physics steps with `step(nstep=...)` (timed).
-So both compute the same contacts in the same minute on the same machine. The figure is the median
-over blocks of raw time / environment time. `ratio_to_rollout` compares with `Batch.rollout` of the
+step and the servo targets after it. The timed pass then replays the same episodes, each control
+step in turn through the environment and through a bare `Batch` of the same model, size and number
+of threads, which is put into the recorded state (not timed), gets the recorded targets, and does
+the same number of physics steps with `step(nstep=...)` (timed). So both compute the same contacts
+within the same milliseconds. The figure is the median of raw time / environment time over blocks
+of control steps. `ratio_to_rollout` compares with `Batch.rollout` of the
 linearly interpolated targets instead: the very physics of the environment, which the benchmark
 proves by `rollout_state_difference`, the largest difference of a position at the end of a control
 step (only rounding of the recorded targets is left).
@@ -20,6 +20,7 @@ step (only rounding of the recorded targets is left).
 from __future__ import annotations
 
 import argparse
+import itertools
 import sys
 import time
 from dataclasses import dataclass
@@ -41,6 +42,9 @@ BAR = 0.85
 
 STATE = ("time", "qpos", "qvel", "act", "qacc_warmstart", "ctrl")
 """What a simulation's future depends on, in the models used here."""
+
+
+ORDERS = tuple(itertools.permutations(("env", "raw", "rollout")))
 
 
 @dataclass(frozen=True)
@@ -132,10 +136,9 @@ def measure_physics_task(
         for first in range(0, steps - block + 1, block):
             part = range(first, first + block)
             spent = {"env": 0.0, "raw": 0.0, "rollout": 0.0}
-            # Every order comes up, so that none profits from a cache the other has warmed.
-            turn = (first // block) % 3
-            for kind in ("env", "raw", "rollout")[turn:] + ("env", "raw", "rollout")[:turn]:
-                for k in part:
+            for k in part:
+                # Every order comes up, so that none profits from a cache the other has warmed.
+                for kind in ORDERS[k % len(ORDERS)]:
                     if kind == "env":
                         start = time.perf_counter()
                         env.step(recording.actions[k])

@@ -68,7 +68,7 @@ def test_observations_match_the_layout(task: str, env: BatchEnv) -> None:
 def test_observations_stay_near_their_nominal_range(env: BatchEnv) -> None:
     observations = roll_out(env, 3)
     low, high = env.layout.observation_low, env.layout.observation_high
-    margin = 0.25 * (high - low)  # the range scales, it does not clip
+    margin = 0.5 * (high - low)  # the range scales, it does not clip; contact pushes the hand
     assert (observations >= low - margin).all()
     assert (observations <= high + margin).all()
 
