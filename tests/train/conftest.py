@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+import torch
 
 from skewmi.batch_env import StepResult
 from skewmi.policy_io import ActionField, Array, Ball, Field, PolicyLayout, inside_region
@@ -22,6 +23,9 @@ from skewmi.train.config import (
 )
 
 STEPS = 40
+
+# Networks this small only lose by threads, and lose badly when tests run side by side.
+torch.set_num_threads(1)
 
 
 class Corridor:
