@@ -182,8 +182,8 @@ class ArmKinematics:
         cosine, sine = np.cos(angle), np.sin(angle)
         axes, origins = np.empty((7, 3, n)), np.empty((7, 3, n))
         base = self._base_rotation
-        x, y, z = (np.broadcast_to(base[:, i, None], (3, n)) for i in range(3))
-        p: Array = np.broadcast_to(self._base_position[:, None], (3, n))
+        x, y, z = base[:, 0:1], base[:, 1:2], base[:, 2:3]
+        p = self._base_position[:, None]
         for i, (d, a, sin_alpha, cos_alpha) in enumerate(self._steps):
             axes[i], origins[i] = z, p
             x_new = cosine[i] * x + sine[i] * y

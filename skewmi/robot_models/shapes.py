@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -127,15 +128,15 @@ BODY_VISUAL: tuple[Shape, ...] = (
     Capsule((-0.300, -0.135, 0.030), (-0.055, -0.135, 0.026), 0.053),
     Box((-0.190, 0.0, 0.040), (0.162, 0.132, 0.036)),
     Box((0.030, 0.137, 0.009), (0.085, 0.046, 0.021)),
-    Cylinder((0.114, 0.112, -0.012), (0.114, 0.112, 0.030), 0.021),
-    Cylinder((0.114, 0.162, -0.012), (0.114, 0.162, 0.030), 0.021),
-    Box((0.122, 0.137, 0.009), (0.013, 0.025, 0.021)),
+    Cylinder((0.114, 0.112, -0.012), (0.114, 0.112, 0.0294), 0.0206),
+    Cylinder((0.114, 0.162, -0.012), (0.114, 0.162, 0.0294), 0.0206),
+    Box((0.122, 0.137, 0.009), (0.0122, 0.025, 0.0202)),
     Box((0.030, -0.137, 0.009), (0.085, 0.046, 0.021)),
-    Cylinder((0.114, -0.112, -0.012), (0.114, -0.112, 0.030), 0.021),
-    Cylinder((0.114, -0.162, -0.012), (0.114, -0.162, 0.030), 0.021),
-    Box((0.122, -0.137, 0.009), (0.013, 0.025, 0.021)),
+    Cylinder((0.114, -0.112, -0.012), (0.114, -0.112, 0.0294), 0.0206),
+    Cylinder((0.114, -0.162, -0.012), (0.114, -0.162, 0.0294), 0.0206),
+    Box((0.122, -0.137, 0.009), (0.0122, 0.025, 0.0202)),
     # Column with rounded edges.
-    Box((-0.245, 0.0, 0.185), (0.078, 0.110, 0.130)),
+    Box((-0.245, 0.0, 0.185), (0.075, 0.1086, 0.130)),
     Cylinder((-0.170, 0.062, 0.050), (-0.170, 0.062, 0.330), 0.047),
     Cylinder((-0.170, -0.062, 0.050), (-0.170, -0.062, 0.330), 0.047),
     Box((-0.170, 0.0, 0.190), (0.0465, 0.062, 0.135)),
@@ -268,6 +269,6 @@ def untested_pairs(side: yumi.Side) -> tuple[tuple[str, str], ...]:
         (f"gripper_{letter}_finger_r", f"gripper_{letter}_finger_l"),
     )
     chain = (yumi.BODY_NAME, *yumi.link_names(side), hand)
-    pairs = [*zip(chain, chain[1:], strict=False), *zip(chain, chain[2:], strict=False)]
+    pairs = [*pairwise(chain), *zip(chain, chain[2:], strict=False)]
     pairs += [(other, finger) for finger in fingers for other in (hand, chain[-2])]
     return (*pairs, fingers)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mink
 import mujoco
 import numpy as np
 import pinocchio
@@ -169,6 +170,26 @@ def test_urdf_loads_in_mujoco_and_collides_in_pinocchio():
     mujoco.mj_forward(reference, ours)
     for centre in ours.geom_xpos:
         assert np.linalg.norm(theirs - centre, axis=1).min() < 1e-9
+
+
+def test_mink_solves_on_the_model():
+    """The robot alone is a model mink can use, and mink and we mean the same hand frame."""
+    model = mjcf.build_robot(left_arm="absent", visual=False).compile()
+    configuration = mink.Configuration(model)
+    q = np.zeros(model.nq)
+    q[:7] = yumi.PRESS_START_CONFIGURATION
+    configuration.update(q)
+    target = frames.world_to_base((-0.015, 0.120, 0.200))
+    task = mink.FrameTask("tool0_r", "site", position_cost=1.0, orientation_cost=1.0)
+    rotation = mink.SO3.from_matrix(frames.HAND_DOWN)
+    task.set_target(mink.SE3.from_rotation_and_translation(rotation, target))
+    limits = [mink.ConfigurationLimit(model)]
+    for _ in range(100):
+        velocity = mink.solve_ik(configuration, [task], 0.02, "daqp", limits=limits)
+        configuration.integrate_inplace(velocity, 0.02)
+    position, found = ArmKinematics("right").forward(configuration.q[:7])
+    np.testing.assert_allclose(position, target, atol=1e-8)
+    np.testing.assert_allclose(found, frames.HAND_DOWN, atol=1e-8)
 
 
 def test_visual_geoms_take_no_part_in_physics():

@@ -90,7 +90,7 @@ def test_nothing_touches_anywhere_in_the_box(tour):
     configurations, _ = tour
     clearance = start_search.Clearance()
     model, data = clearance.model, clearance.data
-    hand_and_box = ("gripper_r_finger_l", "gripper_r_finger_r")
+
     table = body = np.inf
     for q in configurations[::3]:
         data.qpos[:7] = q
@@ -106,7 +106,6 @@ def test_nothing_touches_anywhere_in_the_box(tour):
         table, body = min(table, to_table), min(body, to_body)
     assert table > 0.15
     assert body > 0.10
-    assert all(name in [model.body(i).name for i in range(model.nbody)] for name in hand_and_box)
 
 
 def test_the_start_is_what_the_search_prefers():
