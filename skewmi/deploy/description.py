@@ -10,6 +10,9 @@ from typing import Any
 from skewmi.errors import TransportError
 from skewmi.robot_models.limits import JointLimits
 
+SCENE_REQUEST = b"scene"
+"""Extra bytes of a describe request that ask for the scene's shapes, too."""
+
 
 @dataclass(frozen=True)
 class EndpointDescription:
@@ -34,6 +37,8 @@ class EndpointDescription:
     """Where the plan ends, rad: the point a new commander's first chunk starts from."""
     limits: Mapping[str, tuple[float, ...]]
     """The bounds of the limit profile per joint, so that both sides can compare them."""
+    scene: str = ""
+    """Shapes of the scene, as `SceneGeometry.to_json`; only in answers to requests for it."""
 
     def to_json(self) -> str:
         """One JSON object; floats at full precision."""

@@ -30,6 +30,10 @@ class DeployOptions:
     """Do everything but send: the arm does not move."""
     record: Path | None = None
     """MCAP file to write."""
+    overwrite: bool = False
+    """Replace an existing recording."""
+    policy_name: str = ""
+    """What to call the policy in the recording, such as its file."""
     robot_model_hash: str | None = None
     """Robot model that the policy was trained with, if its file tells."""
     zenoh_config: Path | None = None

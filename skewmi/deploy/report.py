@@ -52,6 +52,7 @@ class DeployReport:
     granted: list[str] = field(default_factory=list)
     """What the operating system granted to the loop."""
     files: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
     interrupted: bool = False
 
     @property

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import replace
 
+from skewmi.deploy import topics
 from skewmi.deploy.daemon import Daemon
+from skewmi.deploy.description import SCENE_REQUEST, EndpointDescription, limit_values
 from skewmi.deploy.endpoint_process import sim_endpoint_process
 from skewmi.deploy.options import DeployOptions
+from skewmi.deploy.recorder import Recorder
+from skewmi.deploy.recording import run_metadata
 from skewmi.deploy.report import DeployReport
 from skewmi.deploy.transport import Link, TransportConfig
 from skewmi.policy_io import Policy
 from skewmi.robot_models import limits as joint_limits
+from skewmi.robot_models import yumi
 
 NODE_NAME = "skewmi_deploy"
 
@@ -68,12 +75,42 @@ def run_deploy(
         with Link.open(config, NODE_NAME) as link:
             link.wait_for_endpoint(5.0)
             daemon = Daemon(policy, options, link, report, stop, tell)
-            with _recording(options, locator, report):
+            with _recording(options, policy, link, config, report):
                 daemon.run()
     report.interrupted = stop.is_set()
     return report
 
 
 @contextmanager
-def _recording(options: DeployOptions, locator: str, report: DeployReport) -> Iterator[None]:
-    yield
+def _recording(
+    options: DeployOptions,
+    policy: Policy,
+    link: Link,
+    config: TransportConfig,
+    report: DeployReport,
+) -> Iterator[None]:
+    """Record the run if asked to; what it was about first, how it went at the end."""
+    if options.record is None:
+        yield
+        return
+    limits = joint_limits.profile(options.limits).scaled(options.speed)
+    reply = link.call(topics.YUMI_DESCRIBE, 5.0, SCENE_REQUEST)
+    description = EndpointDescription.from_json(reply.message)
+    metadata = run_metadata(
+        layout_json=policy.layout.to_json(),
+        limits=limit_values(limits),
+        scene=description.scene or None,
+        task=policy.layout.task,
+        policy=options.policy_name,
+        seed=str(options.seed),
+        limit_profile=limits.name,
+        robot_model_hash=yumi.MODEL_HASH,
+    )
+    client = replace(config, lock_step=False)
+    with Recorder(options.record, client, metadata, overwrite=options.overwrite) as recorder:
+        yield
+        recorder.add_metadata({"report": json.dumps(report.as_dict())})
+        summary = recorder.close()
+    report.files.append(str(summary.path))
+    if summary.missed:
+        report.notes.append(f"the recording lacks {summary.missed} messages")

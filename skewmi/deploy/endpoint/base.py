@@ -54,6 +54,8 @@ class RobotBackend(Protocol):
     """The task the scene belongs to."""
     layout_hashes: tuple[str, ...]
     """Every variant of the task's layout that this scene serves (with and without time, ...)."""
+    scene_json: str
+    """Shapes around the robot for replays, as `SceneGeometry.to_json`; empty if unknown."""
     simulated: bool
     """Whether the scene can be reset by a message."""
 

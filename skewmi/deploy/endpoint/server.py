@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 from skewmi.deploy import topics
 from skewmi.deploy.channels import Request
-from skewmi.deploy.description import EndpointDescription, limit_values
+from skewmi.deploy.description import SCENE_REQUEST, EndpointDescription, limit_values
 from skewmi.deploy.endpoint.base import (
     GRID_NS,
     STATE_PERIOD_TICKS,
@@ -219,10 +219,10 @@ class EndpointServer:
         self._status.put(encode_status(Status(stamp_ns, STATUS_NAME, level, message, values)))
 
     def _describe(self, request: Request) -> TriggerReply:
-        del request
-        return TriggerReply(True, self.describe().to_json())
+        description = self.describe(with_scene=request.extra == SCENE_REQUEST)
+        return TriggerReply(True, description.to_json())
 
-    def describe(self) -> EndpointDescription:
+    def describe(self, *, with_scene: bool = False) -> EndpointDescription:
         """What this endpoint is and what state it is in."""
         controller, options, backend = self._controller, self._options, self._backend
         limits = options.limits
@@ -242,6 +242,7 @@ class EndpointServer:
             joint_names=backend.joint_names,
             commanded_position=controller.commanded_position(),
             limits=limit_values(limits),
+            scene=backend.scene_json if with_scene else "",
         )
 
     def _arm(self, request: Request) -> TriggerReply:

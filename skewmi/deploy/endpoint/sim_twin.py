@@ -9,6 +9,7 @@ import numpy as np
 
 from skewmi.deploy.endpoint.base import GRID_NS, BackendFaultError, Measurement
 from skewmi.deploy.endpoint.executor import PlanPoint
+from skewmi.deploy.scene_geometry import SceneGeometry
 from skewmi.errors import CommandRefusedError, ConfigurationError, NotFoundError
 from skewmi.policy_io import Array, PolicyLayout
 from skewmi.robot_models import yumi
@@ -56,6 +57,7 @@ class SimTwin:
         )
         self.joint_names = yumi.joint_names("right")
         self.scene = OpenPressCloseScene()
+        self.scene_json = SceneGeometry.from_model(self.scene.model).to_json()
         self._data = mujoco.MjData(self.scene.model)
         grid_dt = GRID_NS / 1e9
         self._substeps = round(grid_dt / self.scene.model.opt.timestep)

@@ -1,0 +1,150 @@
+"""Run an ONNX policy on a robot endpoint, and tell how it went.
+
+Without `--connect` a simulated robot is started in a process of its own and ended afterwards.
+Ctrl-C brakes the arm smoothly; so does killing this process, because whatever the endpoint has
+accepted ends at rest. Exit code 0 if all episodes ran (however many succeeded), 1 if something
+faulted, 2 for bad input, 130 after Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import json
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from skewmi.deploy import run as deploy_run
+from skewmi.deploy.options import DeployOptions
+from skewmi.deploy.policy import OnnxPolicy
+from skewmi.deploy.report import DeployReport
+from skewmi.errors import ConfigurationError
+
+
+@dataclass(frozen=True)
+class DeployCommand:
+    """Options of `skewmi deploy`."""
+
+    policy: Annotated[Path, tyro.conf.Positional]
+    """Policy file written by `skewmi export-onnx`."""
+    robot: Literal["sim"] = "sim"
+    """Which robot: the simulated YuMi."""
+    connect: str | None = None
+    """Zenoh locator of a running `skewmi robot`, such as tcp/127.0.0.1:7447; without it a
+    simulated robot is started for this run."""
+    episodes: int = 1
+    """How many."""
+    seed: int = 0
+    """Of the start positions."""
+    lock_step: bool = False
+    """Endpoint and daemon wait for each other: as fast as possible and repeatable."""
+    limits: str = "lab"
+    """Joint limit profile (lab, careful); none is verified on hardware."""
+    speed: float = 1.0
+    """Share of the training's speed, 0.1..1."""
+    record: Path | None = None
+    """MCAP file to record everything to."""
+    overwrite: bool = False
+    """Replace an existing recording."""
+    dry_run: bool = False
+    """Do everything but send: the arm does not move."""
+    zenoh_config: Path | None = None
+    """Zenoh configuration file (JSON5 or YAML), e.g. for TLS; --connect still applies."""
+    json: bool = False
+    """Print the report as one JSON document."""
+
+
+def deploy_policy(options: DeployCommand) -> DeployReport:
+    """Load the policy and run it; progress on standard error."""
+    policy = OnnxPolicy.load(options.policy)
+    if options.record is not None and options.record.exists() and not options.overwrite:
+        raise ConfigurationError(f"{options.record} exists; give another file or --overwrite")
+    console = Console(stderr=True)
+    with _stop_on_interrupt() as stop:
+        return deploy_run.run_deploy(
+            policy,
+            DeployOptions(
+                episodes=options.episodes,
+                seed=options.seed,
+                connect=options.connect,
+                lock_step=options.lock_step,
+                limits=options.limits,
+                speed=options.speed,
+                dry_run=options.dry_run,
+                record=options.record,
+                overwrite=options.overwrite,
+                policy_name=str(options.policy),
+                robot_model_hash=policy.metadata["robot_model_hash"],
+                zenoh_config=options.zenoh_config,
+            ),
+            stop=stop,
+            on_event=lambda text: console.print(text, highlight=False, markup=False),
+        )
+
+
+def run_deploy(options: DeployCommand) -> int:
+    """Run and print. Returns the exit code."""
+    report = deploy_policy(options)
+    if options.json:
+        print(json.dumps(report.as_dict()))
+    else:
+        print_report(report, Console())
+    if report.interrupted:
+        return 130
+    return 1 if report.faulted else 0
+
+
+def print_report(report: DeployReport, console: Console) -> None:
+    """The report as tables for people."""
+    table = Table(title=f"{report.task} on {report.robot}", title_justify="left")
+    for heading in ("episode", "outcome", "steps", "reason"):
+        table.add_column(heading, justify="right" if heading in ("episode", "steps") else "left")
+    for episode in report.episodes:
+        table.add_row(str(episode.index + 1), episode.outcome, str(episode.steps), episode.reason)
+    console.print(table)
+    count = len(report.episodes)
+    console.print(f"success rate {report.success_rate:.1%} ({report.successes} of {count})")
+    usage = report.usage
+    fractions = {
+        "|q|": usage.position,
+        "|v|": usage.velocity,
+        "|a|": usage.acceleration,
+        "|jerk|": usage.jerk,
+        "hand speed": usage.tcp_speed,
+    }
+    shown = ", ".join(f"{name} {value:.1%}" for name, value in fractions.items())
+    console.print(f"largest share of limits ({report.limit_profile}): {shown}")
+    cycle = ", ".join(f"{name} {value:.2f}" for name, value in report.cycle_ms.items())
+    pace = "lock-step" if report.lock_step else f"real time ({', '.join(report.granted)})"
+    console.print(f"cycle, ms: {cycle}; missed {report.missed_cycles} of {report.cycles}; {pace}")
+    for stop in report.stops:
+        console.print(f"stopped: {stop}", markup=False)
+    for note in report.notes:
+        console.print(note, markup=False)
+    for file in report.files:
+        console.print(f"recording: {file}", markup=False)
+
+
+@contextmanager
+def _stop_on_interrupt() -> Iterator[threading.Event]:
+    """An event that the first Ctrl-C sets; a second one interrupts at once."""
+    stop = threading.Event()
+    before = signal.getsignal(signal.SIGINT)
+
+    def handle(number: int, frame: object) -> None:
+        del number, frame
+        signal.signal(signal.SIGINT, before)
+        stop.set()
+
+    signal.signal(signal.SIGINT, handle)
+    try:
+        yield stop
+    finally:
+        signal.signal(signal.SIGINT, before)
