@@ -1,6 +1,9 @@
-"""The process behind `recorder.Recorder`: packets from standard input to an MCAP file.
+"""The process behind `recorder.Recorder`: subscribes to every topic and writes an MCAP file.
 
-python -m skewmi.deploy.recorder_process FILE    (standard input: packets)
+    python -m skewmi.deploy.recorder_process
+
+Standard input: lines of JSON, first {"path", "config"}, then any {"metadata": [name, values]};
+its end ends the recording. Standard output: a line when ready, the counts at the end.
 """
 
 from __future__ import annotations
@@ -8,73 +11,100 @@ from __future__ import annotations
 import json
 import signal
 import sys
-from typing import BinaryIO
+import threading
+import time
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Any
 
-from mcap.well_known import MessageEncoding, Profile, SchemaEncoding
-from mcap.writer import Writer
+from skewmi.deploy.recording_writer import RecordingWriter
+from skewmi.deploy.topics import TOPICS
+from skewmi.deploy.transport import LatestReader, Link, TransportConfig
+from skewmi.errors import SkewmiError
 
-from skewmi.deploy.recorder import CHANNEL, MESSAGE, METADATA, PACKET
-
-CHUNK_BYTES = 32 * 1024
-"""Small, since an unfinished chunk is what a kill of this process loses: at most 60 ms of a
-running arm, 0.7 s of a resting one."""
-
-_FLUSH_EVERY = 32
-
-
-def write(packets: BinaryIO, file: BinaryIO) -> None:
-    """Write packets until the other end closes, then finish the file."""
-    writer = Writer(file, chunk_size=CHUNK_BYTES)
-    writer.start(profile=Profile.ROS2, library="skewmi")
-    channels: dict[int, int] = {}
-    schemas: dict[str, int] = {}
-    unflushed = 0
-    while len(header := packets.read(PACKET.size)) == PACKET.size:
-        length, kind, channel, sequence, log_time_ns, publish_time_ns = PACKET.unpack(header)
-        body = packets.read(length)
-        if len(body) != length:
-            break  # the daemon was killed in the middle of a packet
-        if kind == MESSAGE:
-            writer.add_message(channels[channel], log_time_ns, body, publish_time_ns, sequence)
-        elif kind == CHANNEL:
-            channels[channel] = _add_channel(writer, schemas, json.loads(body))
-        elif kind == METADATA:
-            writer.add_metadata(*json.loads(body))
-        unflushed += 1
-        if unflushed >= _FLUSH_EVERY or kind != MESSAGE:
-            file.flush()
-            unflushed = 0
-    writer.finish()
-    file.flush()
+_PERIOD_S = 0.005
+_LINGER_S = 0.1
+"""After the end: what is still under way shall be in the recording."""
 
 
-def _add_channel(writer: Writer, schemas: dict[str, int], topic: dict[str, str]) -> int:
-    type_name = topic["type"]
-    if type_name not in schemas:
-        schemas[type_name] = writer.register_schema(
-            type_name, SchemaEncoding.ROS2, topic["schema"].encode()
+class _Counts:
+    """Messages written, and gaps in the publishers' sequences."""
+
+    def __init__(self) -> None:
+        self.messages = 0
+        self.missed = 0
+        self._last: dict[bytes, int] = {}
+
+    def add(self, gid: bytes, sequence: int) -> None:
+        last = self._last.get(gid)
+        self.messages += 1
+        if last is not None:
+            self.missed += max(0, sequence - last - 1)
+        self._last[gid] = sequence
+
+
+def _record(path: Path, config: TransportConfig, lines: SimpleQueue[str | None]) -> _Counts:
+    counts = _Counts()
+    with Link.open(config, "skewmi_recorder") as link, RecordingWriter(path) as writer:
+        # Unread samples pile up here in memory, never in Zenoh, where they would slow others.
+        readers = [(topic, link.subscribe(topic, depth=None)) for topic in TOPICS]
+        sys.stdout.write("ready\n")
+        sys.stdout.flush()
+        end_s = float("inf")
+        while True:
+            # Looked at before the topics, so that what came before the end is written.
+            ending = time.monotonic() >= end_s
+            for topic, reader in readers:
+                _drain(topic, reader, writer, counts)
+            writer.flush()
+            if ending:
+                return counts
+            try:
+                line = lines.get(timeout=_PERIOD_S)
+            except Empty:
+                continue
+            if line is None:
+                end_s = time.monotonic() + _LINGER_S
+            else:
+                writer.add_metadata(*json.loads(line)["metadata"])
+
+
+def _drain(topic: Any, reader: LatestReader, writer: RecordingWriter, counts: _Counts) -> None:
+    for sample in reader.drain():
+        counts.add(sample.gid, sample.sequence)
+        writer.write(
+            topic,
+            sample.payload,
+            sequence=sample.sequence,
+            publish_time_ns=sample.source_time_ns,
         )
-    return int(
-        writer.register_channel(
-            topic["topic"],
-            MessageEncoding.CDR,
-            schemas[type_name],
-            {"offered_qos_profiles": "", "topic_type_hash": topic["hash"]},
-        )
-    )
 
 
-def main(path: str) -> int:
-    """Record to `path`. Returns the exit code; the reason of a failure goes to stderr."""
+def main() -> int:
+    """Record until standard input ends. Returns the exit code; failures go to stderr."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    first = json.loads(sys.stdin.readline())
+    options = first["config"]
+    for name in ("connect", "listen"):
+        options[name] = tuple(options[name])
+    if options["zenoh_config"] is not None:
+        options["zenoh_config"] = Path(options["zenoh_config"])
+    lines: SimpleQueue[str | None] = SimpleQueue()
+    threading.Thread(target=_read_lines, args=(lines,), daemon=True).start()
     try:
-        with open(path, "wb") as file:
-            write(sys.stdin.buffer, file)
-    except OSError as error:
-        sys.stderr.write(f"{error.strerror or error}\n")
+        counts = _record(Path(first["path"]), TransportConfig(**options), lines)
+    except (SkewmiError, OSError) as error:
+        sys.stderr.write(f"{' '.join(str(error).split())}\n")
         return 1
+    sys.stdout.write(json.dumps({"messages": counts.messages, "missed": counts.missed}))
     return 0
 
 
+def _read_lines(lines: SimpleQueue[str | None]) -> None:
+    for line in sys.stdin:
+        lines.put(line)
+    lines.put(None)
+
+
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1]))
+    sys.exit(main())

@@ -102,6 +102,10 @@ class TransportConfig:
             config.insert_json5("listen/exit_on_failure", "true")
             config.insert_json5("connect/timeout_ms", str(round(1e3 * self.connect_timeout_s)))
             config.insert_json5("connect/exit_on_failure", "true")
+            # Zenoh's two 64 KiB batches fill while a receiver is not scheduled for a moment;
+            # sixteen, the most it allows, ride out about a second of a running arm.
+            for priority in ("real_time", "interactive_high"):
+                config.insert_json5(f"transport/link/tx/queue/size/{priority}", "16")
             config.insert_json5("connect/endpoints", "[]")
             config.insert_json5("listen/endpoints", "[]")
         if self.connect:

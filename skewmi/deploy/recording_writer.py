@@ -1,0 +1,105 @@
+"""Writes messages to an MCAP file that stays readable however the writer ends."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from mcap.well_known import MessageEncoding, Profile, SchemaEncoding
+from mcap.writer import Writer
+
+from skewmi.deploy import ros2_types
+from skewmi.deploy.topics import Topic
+
+CHUNK_BYTES = 32 * 1024
+"""Small, since an unfinished chunk is what a kill of the writer loses: at most 60 ms of a
+running arm, 0.7 s of a resting one."""
+
+
+class RecordingWriter:
+    """One MCAP file of ROS 2 messages; a context manager that finishes it."""
+
+    def __init__(self, path: Path) -> None:
+        """Create the file, replacing an existing one.
+
+        Raises:
+            OSError: It cannot be created.
+        """
+        self._file = path.open("wb")
+        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES)
+        self._writer.start(profile=Profile.ROS2, library="skewmi")
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, int] = {}
+
+    def write(
+        self,
+        topic: Topic,
+        payload: bytes,
+        *,
+        sequence: int = 0,
+        log_time_ns: int | None = None,
+        publish_time_ns: int | None = None,
+    ) -> None:
+        """Add a message.
+
+        Args:
+            topic: Where it was published.
+            payload: Its CDR bytes.
+            sequence: Publisher's count.
+            log_time_ns: Wall clock now, ns since 1970; None looks at the clock.
+            publish_time_ns: Publisher's wall clock, ns since 1970; None means `log_time_ns`.
+        """
+        if log_time_ns is None:
+            log_time_ns = time.time_ns()
+        self._writer.add_message(
+            self._channel(topic),
+            log_time_ns,
+            payload,
+            log_time_ns if publish_time_ns is None else publish_time_ns,
+            sequence,
+        )
+
+    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Add a metadata record, and write it through to the file."""
+        self._writer.add_metadata(name, dict(values))
+        self.flush()
+
+    def flush(self) -> None:
+        """Hand finished chunks to the operating system: a kill cannot take them back."""
+        self._file.flush()
+
+    def close(self) -> None:
+        """Finish the file."""
+        if not self._file.closed:
+            self._writer.finish()
+            self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _channel(self, topic: Topic) -> int:
+        channel = self._channels.get(topic.name)
+        if channel is None:
+            type_name = topic.type_name
+            if type_name not in self._schemas:
+                self._schemas[type_name] = self._writer.register_schema(
+                    type_name, SchemaEncoding.ROS2, ros2_types.schema(type_name).encode()
+                )
+            channel = self._channels[topic.name] = self._writer.register_channel(
+                topic.name,
+                MessageEncoding.CDR,
+                self._schemas[type_name],
+                {"offered_qos_profiles": "", "topic_type_hash": ros2_types.type_hash(type_name)},
+            )
+        return channel
