@@ -1,7 +1,9 @@
 """What the YuMi looks like and what it collides with: primitives drawn by us, in link frames.
 
-Proportions follow the boxes around ABB's links (`yumi-facts` of the mesh bounding boxes published
-with OREBRO) and photographs; both arms have the same links. Lengths in m.
+Proportions follow photographs and cross-sections measured on the coarse link meshes published with
+github.com/kth-ros-pkg/yumi (no mesh is used). Collision capsules were fitted to overlap those
+volumes best and then grown by 2 mm; they stay within about a centimetre of them. Both arms have
+the same links. Lengths in m.
 """
 
 from __future__ import annotations
