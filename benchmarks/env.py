@@ -103,7 +103,7 @@ def count_contacts(batch: Batch) -> list[int]:
 
 def bare_batch(env: Any, threads: int) -> Batch:
     """A `Batch` with the environment's physics and nothing else."""
-    batch = Batch(env.scene.model, env.num_envs, threads)
+    batch = Batch(env.batch.get_model(0), env.num_envs, threads)
     for name in sorted(MODEL_FIELDS):
         values = env.batch.expanded(name)
         if values is not None:
@@ -124,7 +124,7 @@ def measure_physics_task(
 ) -> dict[str, Any]:
     """Figures of one MuJoCo task at one number of threads."""
     env: Any = tasks.make_batch(name, num_envs, num_threads=threads, seed=seed)
-    substeps = round(env.layout.control_dt / env.scene.model.opt.timestep)
+    substeps = round(env.layout.control_dt / env.batch.get_model(0).opt.timestep)
     raw = bare_batch(env, threads)
     replay = bare_batch(env, threads)
     rows: list[tuple[float, float, float]] = []

@@ -76,8 +76,10 @@ class BoxCamera:
         """See `Camera.render`."""
         if self._renderer is None:
             self._renderer = make_renderer(self._env.scene.model, *self._size)
-        self._env.batch.get_data(index, self._data)
-        mujoco.mj_forward(self._env.scene.model, self._data)
+        # The batch runs a model without visual geoms; the positions mean the same in both.
+        self._data.qpos[:] = self._env.batch.bind("qpos")[index]
+        mujoco.mj_kinematics(self._env.scene.model, self._data)
+        mujoco.mj_camlight(self._env.scene.model, self._data)
         self._renderer.update_scene(self._data, "overview")
         image: Image = self._renderer.render()
         return image

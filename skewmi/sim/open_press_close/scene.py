@@ -65,7 +65,9 @@ class OpenPressCloseScene:
     """Compiled model with the addresses of everything that the task reads and writes.
 
     Attributes:
-        model: The compiled model; time step 4 ms.
+        model: The compiled model with everything to be seen; time step 4 ms.
+        physics_model: The same without geoms that touch nothing. Its states are bit for bit
+            those of `model`, a fifth faster: MuJoCo places every geom at every step.
         kinematics: Of the right arm.
         arm_qpos: Position addresses of the arm joints, chain order. Shape (7,).
         finger_qpos: Position addresses of the two fingers. Shape (2,).
@@ -76,7 +78,12 @@ class OpenPressCloseScene:
     """
 
     def __init__(self, servo_parameters: servo.ServoParameters = servo.DEFAULT) -> None:
-        self.model: mujoco.MjModel = build_spec(servo_parameters).compile()
+        spec = build_spec(servo_parameters)
+        self.model: mujoco.MjModel = spec.compile()
+        for geom in list(spec.geoms):
+            if geom.contype == 0 and geom.conaffinity == 0:
+                spec.delete(geom)
+        self.physics_model: mujoco.MjModel = spec.compile()
         self.kinematics = kinematics.ArmKinematics("right")
         joints = yumi.joint_names("right")
         fingers = yumi.finger_names("right")

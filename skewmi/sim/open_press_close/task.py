@@ -92,7 +92,7 @@ class OpenPressCloseBatch:
         self.num_envs = checked_num_envs(num_envs)
         self.layout = definition.make_layout(gripper_action=gripper_action, time_input=time_input)
         self.scene = OpenPressCloseScene(servo_parameters)
-        self.batch = Batch(self.scene.model, self.num_envs, num_threads)
+        self.batch = Batch(self.scene.physics_model, self.num_envs, num_threads)
         self._workspace = workspace_of(self.layout)
         self._hand_rotation = hand_rotation(self._workspace)
         self._randomization = Randomization() if randomization is None else randomization

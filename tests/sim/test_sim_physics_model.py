@@ -1,0 +1,42 @@
+"""The batch simulates a model without visual geoms: it must be the one that is shown."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from skewmi.sim.open_press_close.scene import OpenPressCloseScene
+from skewmi.sim.open_press_close.task import OpenPressCloseBatch
+
+
+def test_leaving_out_visual_geoms_changes_nothing() -> None:
+    scene = OpenPressCloseScene()
+    shown, stepped = scene.model, scene.physics_model
+    assert stepped.ngeom < shown.ngeom
+    for name in ("body_mass", "body_inertia", "body_ipos", "body_iquat", "dof_invweight0"):
+        np.testing.assert_array_equal(getattr(shown, name), getattr(stepped, name))
+    assert (shown.nq, shown.nv, shown.nu) == (stepped.nq, stepped.nv, stepped.nu)
+
+    # Press down on the lid and move along it, so that there is contact.
+    env = OpenPressCloseBatch(2, num_threads=1)
+    env.reset(0)
+    data = [mujoco.MjData(shown) for _ in range(2)]
+    for index, single in enumerate(data):
+        single.qpos[:] = env.batch.bind("qpos")[index]
+        single.ctrl[:] = env.batch.bind("ctrl")[index]
+    contacts = 0
+    for step in range(25):
+        before = env.batch.bind("ctrl").copy()
+        action = np.array([[0.0, 0.2, -1.0], [0.1, 1.0, -1.0]]) * (1.0 if step < 15 else -0.5)
+        env.step(action)
+        after = env.batch.bind("ctrl")
+        for index, single in enumerate(data):
+            for substep in range(1, 26):
+                fraction = substep / 25
+                single.ctrl[:] = before[index] + fraction * (after[index] - before[index])
+                mujoco.mj_step(shown, single)
+            contacts += single.ncon
+    assert contacts > 10
+    for index, single in enumerate(data):
+        # Only rounding of the targets differs, and contact does not amplify it noticeably.
+        np.testing.assert_allclose(env.batch.bind("qpos")[index], single.qpos, atol=1e-9)
