@@ -1,0 +1,67 @@
+"""Turn a recording into a Rerun file, or show it in a viewer.
+
+The view has the robot and the scene moving, the commanded against the measured hand, every
+joint's position, velocity, acceleration and jerk against its limits, the hand in its workspace
+box, the policy's input and output, and the state machines' events. Recordings whose recorder
+was killed are shown as far as they go.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+
+from skewmi.errors import ConfigurationError
+
+
+@dataclass(frozen=True)
+class ReplayCommand:
+    """Options of `skewmi replay`."""
+
+    recording: Annotated[Path, tyro.conf.Positional]
+    """MCAP file written by `skewmi deploy --record`."""
+    out: Path | None = None
+    """Rerun file to write; by default the recording's name with .rrd."""
+    live: bool = False
+    """Open a Rerun viewer instead of writing a file."""
+    json: bool = False
+    """Print the summary as one JSON document."""
+
+
+def run_replay(options: ReplayCommand) -> int:
+    """Write or show the replay. Returns 0."""
+    if options.live and options.out is not None:
+        raise ConfigurationError("give --live or --out, not both")
+    # Late, because Rerun takes a while to import and wrong options should fail at once.
+    from skewmi.deploy.replay import show_replay, write_replay
+
+    out = options.out or options.recording.with_suffix(".rrd")
+    with Console(stderr=True).status(f"reading {options.recording}"):
+        if options.live:
+            report = show_replay(options.recording)
+        else:
+            report = write_replay(options.recording, out)
+    if options.json:
+        written = None if options.live else str(out)
+        print(json.dumps({"rrd": written, **asdict(report)}))
+        return 0
+    note = "" if report.complete else " (ends early: its recorder was killed)"
+    print(f"{report.duration_s:.1f} s recorded{note}")
+    for time_s in report.success_s:
+        print(f"success at {time_s:.1f} s")
+    for name, share in report.limit_use.items():
+        print(f"largest commanded {name}: {100 * share:.0f} % of its limit")
+    if report.tracking_error_mm is not None:
+        print(
+            f"largest distance from commanded to measured hand: {report.tracking_error_mm:.1f} mm"
+        )
+    if report.malformed:
+        print(f"{report.malformed} messages could not be decoded and are left out")
+    if not options.live:
+        print(f"wrote {out}; open it with: rerun {out}")
+    return 0

@@ -1,0 +1,112 @@
+"""From a recording to Rerun: a file, or a viewer."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+
+from skewmi.deploy.recording import read_recording
+from skewmi.deploy.replay_data import Run, understand
+from skewmi.deploy.replay_view import log_run
+from skewmi.errors import ConfigurationError
+
+APPLICATION = "skewmi_replay"
+
+
+@dataclass(frozen=True)
+class ReplayReport:
+    """What a replay shows."""
+
+    duration_s: float
+    messages: dict[str, int]
+    """Number by topic."""
+    malformed: int
+    """Messages that could not be decoded and are left out."""
+    complete: bool
+    """False if the recording ends early: its recorder was killed."""
+    success_s: tuple[float, ...]
+    """When the policy succeeded, s after the first stamp; once per episode."""
+    limit_use: dict[str, float]
+    """Largest |commanded| as a fraction of its limit, over all joints."""
+    tracking_error_mm: float | None
+    """Largest distance from commanded to measured hand, mm."""
+
+
+def write_replay(recording_path: Path, rrd_path: Path) -> ReplayReport:
+    """Write a Rerun file.
+
+    Args:
+        recording_path: An MCAP recording.
+        rrd_path: File to write; appears only when it is complete.
+
+    Raises:
+        ConfigurationError: The recording cannot be used, or the folder does not exist.
+    """
+    if not rrd_path.parent.is_dir():
+        raise ConfigurationError(f"cannot write {rrd_path}: there is no folder {rrd_path.parent}")
+    recording = read_recording(recording_path)
+    run = understand(recording)
+    unfinished = rrd_path.with_name(f".{rrd_path.name}.{os.getpid()}.part")
+    stream = rr.RecordingStream(APPLICATION, recording_id=recording_path.stem)
+    try:
+        stream.save(unfinished)
+        log_run(stream, run, recording_path.stem)
+        stream.flush()
+        stream.disconnect()
+        unfinished.replace(rrd_path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+    counts = {topic: len(messages) for topic, messages in recording.messages.items()}
+    return _report(run, counts, recording.complete)
+
+
+def show_replay(recording_path: Path) -> ReplayReport:
+    """Open a Rerun viewer on a recording.
+
+    Raises:
+        ConfigurationError: The recording cannot be used, or no viewer can be started.
+    """
+    recording = read_recording(recording_path)
+    run = understand(recording)
+    stream = rr.RecordingStream(APPLICATION, recording_id=recording_path.stem)
+    try:
+        stream.spawn()
+    except RuntimeError as error:
+        raise ConfigurationError(
+            f"cannot start a Rerun viewer ({error}); use --out and open the file elsewhere"
+        ) from error
+    log_run(stream, run, recording_path.stem)
+    stream.flush()
+    counts = {topic: len(messages) for topic, messages in recording.messages.items()}
+    return _report(run, counts, recording.complete)
+
+
+def _report(run: Run, counts: dict[str, int], complete: bool) -> ReplayReport:
+    motion, limits = run.commanded, run.limits
+    use = {}
+    for name, values in (("velocity", motion.v), ("acceleration", motion.a), ("jerk", motion.jerk)):
+        if name in limits and len(values):
+            use[name] = float(np.abs(values / limits[name]).max())
+    error_mm = None
+    if len(motion.time_s) and len(run.measured.time_s):
+        hand = motion.hand_w
+        times = run.measured.time_s
+        during = (times >= motion.time_s[0]) & (times <= motion.time_s[-1])
+        interpolated = np.column_stack(
+            [np.interp(times, motion.time_s, hand[:, i]) for i in range(3)]
+        )
+        distances = np.linalg.norm(interpolated - run.measured.hand_w, axis=1)[during]
+        error_mm = float(1e3 * distances.max()) if len(distances) else None
+    return ReplayReport(
+        duration_s=run.duration_s,
+        messages=counts,
+        malformed=run.malformed,
+        complete=complete,
+        success_s=run.success_s,
+        limit_use=use,
+        tracking_error_mm=error_mm,
+    )
