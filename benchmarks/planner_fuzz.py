@@ -357,7 +357,7 @@ def main() -> int:
     parser.add_argument("--cycles", type=int, default=20_000, help="planner cycles of 20 ms")
     options = parser.parse_args()
     begin = time.monotonic()
-    totals = fuzz(options.cycles, options.seed, common_press_start())
+    totals = fuzz(options.cycles, options.seed, np.array(yumi.PRESS_START_CONFIGURATION))
     figures: dict[str, Any] = {
         "cycles": totals.cycles,
         "rounds": totals.rounds,
@@ -374,16 +374,6 @@ def main() -> int:
     )
     common.print_result(document, as_json=options.json)
     return 0
-
-
-def common_press_start() -> Array:
-    """A start configuration of the press task's box."""
-    guess = np.array([1.2412, -1.4477, -1.083, 0.8673, -2.195, 1.6343, 2.5409])
-    result = ArmKinematics("right").inverse(
-        frames.world_to_base((-0.009, -0.1345, 0.270)), frames.HAND_DOWN, guess, max_iterations=50
-    )
-    require_converged(result)
-    return result.q
 
 
 if __name__ == "__main__":

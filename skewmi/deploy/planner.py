@@ -228,6 +228,9 @@ class Planner:
             raise ConfigurationError(f"splice is {at}; it must not be negative")
         if at != self.samples_per_cycle:
             self._resume(previous, at)
+            # The command went on while nobody planned.
+            for _ in range(min(at - self.samples_per_cycle, 1000)):
+                self._reference.advance(self._grid_dt)
         start = self._joints.q, self._joints.v, self._joints.a
         samples = [start]
         for _ in range(self.samples_per_cycle):
