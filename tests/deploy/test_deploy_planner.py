@@ -161,7 +161,7 @@ def test_a_silent_policy_comes_to_rest_at_the_command(planner: Planner) -> None:
     run = follow(planner, [target], settle_cycles=75)
     np.testing.assert_allclose(run.hand_w[-1], target, atol=5e-5)
     # The joints may still drift towards the posture, the hand may not.
-    assert np.abs(np.diff(run.hand_w[-10:], axis=0)).max() < 1e-7
+    assert np.abs(np.diff(run.hand_w[-10:], axis=0)).max() < 1e-6
     assert np.abs(np.diff(run.q[-10:], axis=0)).max() < 1e-5
 
 
@@ -215,7 +215,7 @@ def test_stops_at_every_face(workspace: Workspace, profile: str, axis: int, side
     target[axis] = (workspace.low if side == "low" else workspace.high)[axis]
     beyond = target.copy()
     beyond[axis] += -1.0 if side == "low" else 1.0
-    patience = 80 if profile == "lab" else 360
+    patience = 100 if profile == "lab" else 360
     run = follow(planner, [beyond], settle_cycles=patience)
     outside = np.maximum(np.array(workspace.low) - run.hand_w, run.hand_w - workspace.high)
     assert outside.max() < 1.5e-3
