@@ -27,8 +27,9 @@ GRIPPER_OPENING = 0.014
 """Finger travel while the policy does not move the fingers, m: the bar fits between them with
 the hook behind it."""
 
-MAX_LEAD = 0.03
-"""How far the command may run ahead of the measured hand, m."""
+MAX_LEAD = 0.015
+"""How far the command may run ahead of the measured hand, m: one full action. With the servos of
+the scene it bounds what a blocked hand pushes with."""
 
 LID_SHUT = 0.035
 """Largest lid angle that counts as shut, rad: the lid's edge is then 5 mm above its rest."""

@@ -1,7 +1,8 @@
 """The things of OpenPressClose that are not the robot: table, box, lid with handle, button.
 
 Geometry: the boxes of the Skew-Explore "yumi_door_button" scene of its
-authors' published code (MIT), restated in world coordinates: x forward from the robot, y to its left, z up, table top at z = 0.
+authors' published code (MIT), restated in world coordinates: x forward from the robot, y to its
+left, z up, table top at z = 0.
 Departures, each because the original is not physical (1 % of Earth's gravity, massless button):
 handle posts 4 mm further out, real masses, hinge and slide held by dry friction.
 """

@@ -9,7 +9,6 @@ from collections.abc import Mapping
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from skewmi.policy_io import Array, PolicyLayout, Workspace
 from skewmi.robot_models import frames, kinematics, mjcf, servo, yumi
@@ -17,7 +16,17 @@ from skewmi.sim.open_press_close import parts
 from skewmi.sim.open_press_close.definition import SIM_DT, make_layout
 from skewmi.sim.open_press_close.randomization import Randomization
 
-Index = NDArray[np.intp]
+_KP = np.array([375.0, 375.0, 250.0, 250.0, 300.0, 300.0, 150.0])
+SERVO = servo.DEFAULT.with_changes(
+    kp=_KP,
+    kd=servo.critical_damping(_KP, servo.ARMATURE),
+    force_limit=np.array([12.5, 12.5, 6.0, 6.0, 5.5, 5.5, 4.0]),
+)
+"""Servos for work in contact. A soft arm bounds the force that the command's lead over the hand
+can build up, and a wrist that is stiff and strong for its size keeps the hand upright under it
+(the joints' own wrist stiffness is above 450 N m/rad): with the wrist at 100 N m/rad and 2 N m a
+sideways push of 12 N at the fingertips overpowered it, and the hand tilted by up to 40 degrees.
+An estimate like `servo.DEFAULT`, to be replaced by identified values."""
 
 HAND_FORCE_SENSOR = "hand_contact_force"
 """Net contact force on hand and wrist (axis 6 and beyond), world axes, N."""
@@ -28,7 +37,7 @@ _NETFORCE = 3
 """`reduce` of a contact sensor that adds up all contacts (MJCF: reduce="netforce")."""
 
 
-def build_spec(servo_parameters: servo.ServoParameters = servo.DEFAULT) -> mujoco.MjSpec:
+def build_spec(servo_parameters: servo.ServoParameters = SERVO) -> mujoco.MjSpec:
     """Robot with position servos, table, box, sensors: everything but what changes per episode.
 
     World frame: task world (table top at z = 0). Actuators: the seven arm joints, then the
@@ -73,11 +82,12 @@ class OpenPressCloseScene:
         finger_qpos: Position addresses of the two fingers. Shape (2,).
         arm_ctrl: Actuators of the arm joints, chain order. Shape (7,).
         finger_ctrl: Actuator of the fingers.
+        velocity_lead: Factor of the target velocity in `controls`, s. Shape (7,).
         lid_qpos, button_qpos: Position addresses.
         hand_force, arm_force: Slices of `sensordata`, see the sensors' names.
     """
 
-    def __init__(self, servo_parameters: servo.ServoParameters = servo.DEFAULT) -> None:
+    def __init__(self, servo_parameters: servo.ServoParameters = SERVO) -> None:
         spec = build_spec(servo_parameters)
         self.model: mujoco.MjModel = spec.compile()
         for geom in list(spec.geoms):
@@ -94,6 +104,7 @@ class OpenPressCloseScene:
         self.button_qpos = self._qpos("button_slide")
         self.arm_ctrl = np.array([self.model.actuator(name).id for name in joints])
         self.finger_ctrl = int(self.model.actuator(fingers[0]).id)
+        self.velocity_lead: Array = servo_parameters.kd / servo_parameters.kp
         self.hand_force = self._sensor(HAND_FORCE_SENSOR)
         self.arm_force = self._sensor(ARM_FORCE_SENSOR)
 
@@ -177,18 +188,25 @@ class OpenPressCloseScene:
         q: Array = result.q
         return q
 
-    def controls(self, arm_q: Array, finger_opening: Array | float) -> Array:
+    def controls(
+        self, arm_q: Array, finger_opening: Array | float, arm_velocity: Array | float = 0.0
+    ) -> Array:
         """Controls of all actuators: servo targets of arm (rad) and fingers (m).
 
+        The servos of the model know no target velocity: torque = kp (ctrl - q) - kd v. With
+        ctrl = q_d + (kd / kp) v_d they become kp (q_d - q) + kd (v_d - v), which follows a
+        moving target without the lag kd / kp, as the feed-forward of a robot controller does.
+
         Args:
-            arm_q: Chain order. Shape (..., 7).
+            arm_q: Target positions q_d, chain order. Shape (..., 7).
             finger_opening: Travel of each finger from closed. Shape (...).
+            arm_velocity: Target velocities v_d, rad/s. Shape (..., 7), or 0 at rest.
 
         Returns:
             Shape (..., nu).
         """
         ctrl = np.empty((*arm_q.shape[:-1], self.model.nu))
-        ctrl[..., self.arm_ctrl] = arm_q
+        ctrl[..., self.arm_ctrl] = arm_q + self.velocity_lead * arm_velocity
         ctrl[..., self.finger_ctrl] = finger_opening
         return ctrl
 

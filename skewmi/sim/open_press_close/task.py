@@ -25,7 +25,12 @@ from skewmi.robot_models import servo
 from skewmi.sim.checks import checked_action, checked_num_envs
 from skewmi.sim.open_press_close import definition, reach
 from skewmi.sim.open_press_close.randomization import Randomization
-from skewmi.sim.open_press_close.scene import OpenPressCloseScene, hand_rotation, workspace_of
+from skewmi.sim.open_press_close.scene import (
+    SERVO,
+    OpenPressCloseScene,
+    hand_rotation,
+    workspace_of,
+)
 
 layout = definition.make_layout
 
@@ -69,7 +74,7 @@ class OpenPressCloseBatch:
         gripper_action: bool = False,
         time_input: bool = False,
         randomization: Randomization | None = None,
-        servo_parameters: servo.ServoParameters = servo.DEFAULT,
+        servo_parameters: servo.ServoParameters = SERVO,
     ) -> None:
         """Make the environment; call `reset` before `step`.
 
@@ -163,21 +168,21 @@ class OpenPressCloseBatch:
 
     def _move_command(self, action: Array) -> None:
         """Turn actions into the servos' targets at every substep."""
-        before = self.scene.controls(self._command_q, self._command_opening)
+        q_before, opening_before = self._command_q, self._command_opening
         self._command_position_w = integrate_command(
             self.layout, self._command_position_w, action, self._hand_position_w
         )
         self._command_q = self.scene.arm_positions(
-            self._workspace, self._command_position_w, self._command_q
+            self._workspace, self._command_position_w, q_before
         )
         if self.layout.action_dim == 4:
             travel = np.clip(action[:, 3], -1.0, 1.0) * self.layout.action_scale[3]
-            self._command_opening = np.clip(
-                self._command_opening + travel, 0.0, definition.FINGER_MAX
-            )
-        after = self.scene.controls(self._command_q, self._command_opening)
-        np.multiply((after - before)[:, None, :], self._fraction, out=self._targets)
-        self._targets += before[:, None, :]
+            self._command_opening = np.clip(opening_before + travel, 0.0, definition.FINGER_MAX)
+        velocity = (self._command_q - q_before) / self.layout.control_dt
+        first = self.scene.controls(q_before, opening_before, velocity)
+        last = self.scene.controls(self._command_q, self._command_opening, velocity)
+        np.multiply((last - first)[:, None, :], self._fraction, out=self._targets)
+        self._targets += first[:, None, :]
 
     def _check_physics(self) -> None:
         bad = np.flatnonzero(self.batch.warning.any(axis=1))
