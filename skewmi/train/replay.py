@@ -118,6 +118,11 @@ class Replay:
         """Recompute what is derived from the rows of some slots."""
         self.rewarded[slots] = self.rows[slots, :-1, self._reward].any(1)
 
+    def state_columns(self, slots: Index) -> tuple[Single, Single]:
+        """States (n, steps + 1, d) and extrinsic rewards (n, steps) of some slots."""
+        rows = self.rows[slots]
+        return rows[:, :, self._state], rows[:, :-1, self._reward]
+
     def random_states(self, count: int, generator: np.random.Generator) -> Array:
         """States met after a step, drawn uniformly with replacement. Shape (count, d)."""
         slots = generator.integers(len(self), size=count)

@@ -78,9 +78,7 @@ def test_own_count_bounds_the_density_from_below() -> None:
 def test_leave_one_out_is_brute_force() -> None:
     points = np.random.default_rng(2).normal(size=(30, 3))
     got = kernel_log_density(points, points, 0.6, leave_one_out=True, single=False, chunk=70)
-    expected = [
-        brute_force(points[i : i + 1], np.delete(points, i, 0), 0.6)[0] for i in range(30)
-    ]
+    expected = [brute_force(points[i : i + 1], np.delete(points, i, 0), 0.6)[0] for i in range(30)]
     np.testing.assert_allclose(got, expected, atol=1e-10)
 
 

@@ -86,9 +86,7 @@ def test_relabelled_batch_is_brute_force(filled, layout, bootstrap: bool) -> Non
     rng = np.random.default_rng(2)
     drawn = replay.draw(200, 3, 0.0, rng)
     goals = rng.uniform(0, 4, size=(200, 2))
-    batch = make_batch(
-        drawn, goals, terms, InputMap(layout, True), config, torch.device("cpu")
-    )
+    batch = make_batch(drawn, goals, terms, InputMap(layout, True), config, torch.device("cpu"))
     c, gamma = config.skew, config.sac.discount
     normal = multivariate_normal(np.zeros(2), c.sigma**2 * np.eye(2))
     steps = layout.episode_steps
@@ -163,9 +161,7 @@ def test_blocks_cover_the_live_episodes_once(count: int, kept: int) -> None:
 
 @settings(max_examples=20, deadline=None)
 @given(batches=st.lists(st.integers(1, 9), min_size=1, max_size=8), capacity=st.integers(9, 30))
-def test_blocks_bring_everything_back(
-    tmp_path_factory, batches: list[int], capacity: int
-) -> None:
+def test_blocks_bring_everything_back(tmp_path_factory, batches: list[int], capacity: int) -> None:
     from skewmi.policy_io import ActionField, Field, PolicyLayout
 
     layout = PolicyLayout(
