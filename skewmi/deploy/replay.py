@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -73,6 +74,9 @@ def show_replay(recording_path: Path) -> ReplayReport:
     recording = read_recording(recording_path)
     run = understand(recording)
     stream = rr.RecordingStream(APPLICATION, recording_id=recording_path.stem)
+    # The viewer comes with the package, but its folder need not be on the PATH.
+    folder = Path(sys.executable).parent
+    os.environ["PATH"] = os.pathsep.join((os.environ.get("PATH", ""), str(folder)))
     try:
         stream.spawn()
     except RuntimeError as error:

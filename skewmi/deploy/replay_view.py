@@ -11,6 +11,7 @@ import re
 import tempfile
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import rerun as rr
@@ -71,9 +72,15 @@ def blueprint(run: Run, title: str) -> Any:
     tabs = [
         rrb.Vertical(
             *(
-                rrb.TimeSeriesView(origin=f"/joints/{quantity}", name=f"{quantity} / limit")
+                rrb.TimeSeriesView(
+                    origin=f"/joints/{quantity}",
+                    name=f"{quantity} / limit",
+                    # One legend is enough: four would cover the curves.
+                    plot_legend=rrb.PlotLegend(visible=quantity == _QUANTITIES[0]),
+                )
                 for quantity in _QUANTITIES
             ),
+            row_shares=[3, 2, 2, 2],
             name="joints against limits",
         ),
         rrb.Vertical(
@@ -104,7 +111,7 @@ def blueprint(run: Run, title: str) -> Any:
             )
         )
     eye = rrb.EyeControls3D(
-        position=(0.85, -0.95, 0.75), look_target=(-0.12, -0.05, 0.2), eye_up=(0.0, 0.0, 1.0)
+        position=(0.75, -0.65, 0.65), look_target=(-0.1, -0.03, 0.2), eye_up=(0.0, 0.0, 1.0)
     )
     return rrb.Blueprint(
         rrb.Horizontal(
@@ -113,9 +120,15 @@ def blueprint(run: Run, title: str) -> Any:
                     origin="/",
                     name=title,
                     contents=[
-                        "+ /robot/**",
                         "+ /world/**",
-                        "- /robot/*/yumi/collision_geometries/**",
+                        *(
+                            rule
+                            for robot in ("robot_measured", "robot_commanded")
+                            for rule in (
+                                f"+ /{robot}/**",
+                                f"- /{robot}/yumi/collision_geometries/**",
+                            )
+                        ),
                     ],
                     eye_controls=eye,
                 ),
@@ -149,14 +162,16 @@ def _log_robot(recording: Any, name: str, motion: Motion, fingers: Series, *, gh
         file.write_text(text)
         tree = rr.urdf.UrdfTree.from_file_path(
             file,
-            entity_path_prefix=f"/robot/{name}",
+            entity_path_prefix=f"robot_{name}",  # one path part: Rerun would escape a slash
             frame_prefix=f"{name}/",
-            static_transform_entity_path=f"/robot/{name}/tf_static",
+            static_transform_entity_path=f"/robot_{name}/tf_static",
         )
         tree.log_urdf_to_recording(recording)
+    if not ghost:
+        _make_solid(recording, tree, text)
     # The URDF's root is the robot base; world is the frame of everything else here.
     recording.log(
-        f"/robot/{name}/base",
+        f"/robot_{name}/base",
         rr.Transform3D(
             translation=frames.BASE_IN_WORLD,
             parent_frame="tf#/",
@@ -171,13 +186,29 @@ def _log_robot(recording: Any, name: str, motion: Motion, fingers: Series, *, gh
             _log_joint(recording, name, tree, joint, fingers.time_s, fingers.values[:, 0])
 
 
+def _make_solid(recording: Any, tree: Any, text: str) -> None:
+    """Fill the shapes, which the URDF importer leaves as wire frames."""
+    archetypes = {
+        "box": rr.Boxes3D,
+        "cylinder": rr.Cylinders3D,
+        "capsule": rr.Capsules3D,
+        "sphere": rr.Ellipsoids3D,
+    }
+    for link in ElementTree.fromstring(text).iter("link"):
+        shapes = [geometry[0].tag for geometry in link.iterfind("visual/geometry")]
+        paths = tree.get_visual_geometry_paths(link.attrib["name"])
+        for path, shape in zip(paths, shapes, strict=True):
+            solid = archetypes[shape].from_fields(fill_mode=rr.components.FillMode.Solid)
+            recording.log(path, solid, static=True)
+
+
 def _log_joint(
     recording: Any, name: str, tree: Any, joint: str, time_s: Array, values: Array
 ) -> None:
     found = tree.get_joint_by_name(joint)
     assert found is not None, joint
     columns = found.compute_transform_columns(values, clamp=False)
-    recording.send_columns(f"/robot/{name}/joints/{joint}", indexes=_at(time_s), columns=columns)
+    recording.send_columns(f"/robot_{name}/joints/{joint}", indexes=_at(time_s), columns=columns)
 
 
 def _log_paths(recording: Any, run: Run) -> None:
