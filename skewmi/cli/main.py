@@ -26,6 +26,7 @@ COMMANDS: dict[str, str] = {
     "deploy": "run an ONNX policy on a robot endpoint",
     "stop": "bring the arm smoothly to rest",
     "replay": "turn a recording into a Rerun file, or show it live",
+    "film": "draw an episode of a recording: film and strip of frames",
     "doctor": "what works on this machine",
 }
 """Command -> one line of help. `a-b` lives in module `a_b` as `ABCommand` and `run_a_b`."""

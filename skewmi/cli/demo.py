@@ -1,0 +1,130 @@
+"""The whole chain in a few minutes: train, export, deploy on the simulated YuMi, replay.
+
+Runs the very commands a user would type, one after the other, and shows each. Training is short,
+so the policy need not solve the task yet; the summary says what it reached.
+"""
+
+from __future__ import annotations
+
+import json
+import shlex
+import subprocess
+import sys
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from skewmi.errors import ConfigurationError
+
+
+@dataclass(frozen=True)
+class DemoCommand:
+    """Options of `skewmi demo`."""
+
+    out: Path = Path("demo")
+    """Directory for everything the demo writes; an earlier demo's files in it are replaced."""
+    task: str = "open_press_close"
+    """Task to train and deploy; one with an arm."""
+    minutes: float = 4.0
+    """Wall-clock time for training, minutes."""
+    episodes: int = 3
+    """Deployed episodes."""
+    seed: int = 0
+    """Seed of training, evaluation and deployment."""
+    limits: str = "lab"
+    """Limit profile of the deployment."""
+    json: bool = False
+    """Print one JSON document instead of the summary."""
+
+
+@dataclass
+class Steps:
+    """Runs `skewmi` commands, shows them, and keeps what each printed."""
+
+    console: Console
+    results: dict[str, dict[str, Any]] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    def run(self, name: str, arguments: list[str], allowed: tuple[int, ...] = (0,)) -> None:
+        """Run one command with --json; its progress goes to our standard error.
+
+        Raises:
+            ConfigurationError: It ended with an exit code that is not `allowed`.
+        """
+        self.console.print(f"\n[bold]$ skewmi {shlex.join(arguments)}[/bold]", highlight=False)
+        start = time.monotonic()
+        process = subprocess.run(
+            [sys.executable, "-m", "skewmi.cli.main", *arguments, "--json"],
+            stdout=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+        self.seconds[name] = time.monotonic() - start
+        if process.returncode not in allowed:
+            raise ConfigurationError(
+                f"the step `skewmi {shlex.join(arguments)}` ended with exit code "
+                f"{process.returncode}; its message is above"
+            )
+        self.results[name] = json.loads(process.stdout)
+        self.console.print(f"  done in {self.seconds[name]:.0f} s", highlight=False)
+
+
+def run_demo(options: DemoCommand) -> int:
+    """Run the chain. Returns 0 if every step ran, whatever the policy achieved."""
+    if not options.minutes > 0:
+        raise ConfigurationError(f"--minutes is {options.minutes}; it must be positive")
+    if options.episodes < 1:
+        raise ConfigurationError(f"--episodes is {options.episodes}; at least 1 is needed")
+    out = options.out
+    out.mkdir(parents=True, exist_ok=True)
+    run_dir = out / "runs" / time.strftime("%Y%m%d-%H%M%S")
+    onnx, mcap, rrd = out / "policy.onnx", out / "episodes.mcap", out / "episodes.rrd"
+    film, strip = out / "episode.gif", out / "episode.png"
+    seed = str(options.seed)
+    steps = Steps(Console(stderr=True))
+    train = ["--task", options.task, "--minutes", str(options.minutes), "--seed", seed]
+    steps.run("train", ["train", "--run-dir", str(run_dir), *train])
+    steps.run("export", ["export-onnx", str(run_dir), "--out", str(onnx), "--seed", seed])
+    deploy = ["--episodes", str(options.episodes), "--seed", seed, "--limits", options.limits]
+    record = ["--record", str(mcap), "--overwrite"]
+    steps.run("deploy", ["deploy", str(onnx), "--robot", "sim", *deploy, *record])
+    steps.run("replay", ["replay", str(mcap), "--out", str(rrd)])
+    steps.run("film", ["film", str(mcap), "--out", str(film), "--strip", str(strip)])
+    files = {"run": run_dir, "policy": onnx, "recording": mcap, "replay": rrd}
+    files |= {"film": film, "picture": strip}
+    document = {
+        "steps": steps.results,
+        "seconds": steps.seconds,
+        "files": {name: str(path) for name, path in files.items()},
+    }
+    if options.json:
+        print(json.dumps(document, indent=2))
+    else:
+        Console().print(summary(document))
+    return 0
+
+
+def summary(document: dict[str, Any]) -> Table:
+    """What a person wants to know after the demo; every number from the steps' own reports."""
+    train, export, deploy = (document["steps"][name] for name in ("train", "export", "deploy"))
+    table = Table("", "", title="skewmi demo", show_header=False, title_justify="left")
+    minutes = document["seconds"]["train"] / 60
+    table.add_row("training", f"{minutes:.1f} min, {_training_line(train)}")
+    table.add_row(
+        "policy in batched simulation",
+        f"success {export['onnx']['successes']}/{export['onnx']['episodes']} (ONNX), "
+        f"onnxruntime and torch differ by at most {export['max_difference']:.1g}",
+    )
+    table.add_row(
+        "deployed on the simulated YuMi",
+        f"success {deploy['successes']}/{deploy['episodes']}",
+    )
+    return table
+
+
+def _training_line(train: dict[str, Any]) -> str:
+    return ", ".join(f"{key} {value}" for key, value in train.items() if value is not None)

@@ -1,0 +1,199 @@
+"""Draw a recorded deployment: a film and a strip of labelled frames of one episode.
+
+Draws what the robot reported (measured joints and scene), not what was commanded.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+from numpy.typing import NDArray
+
+from skewmi.deploy import topics
+from skewmi.deploy.messages import JointStates, decode_joint_states
+from skewmi.deploy.recording import LAYOUT, Recording, read_recording
+from skewmi.errors import ConfigurationError, NotFoundError
+from skewmi.policy_io import Array, PolicyLayout
+
+EPISODE_GAP_S = 1.0
+"""Observations further apart than this belong to different episodes."""
+
+
+@dataclass(frozen=True)
+class FilmCommand:
+    """Options of `skewmi film`."""
+
+    recording: Annotated[Path, tyro.conf.Positional]
+    """MCAP file of `skewmi deploy --record`."""
+    out: Path | None = None
+    """Film to write (.gif or .webp); default: beside the recording, as .gif."""
+    strip: Path | None = None
+    """Also write a picture of labelled frames in sequence (.png)."""
+    episode: int = 1
+    """Which episode, from 1."""
+    camera: str = "overview"
+    """Camera of the scene."""
+    width: int = 480
+    """Width of a frame, pixels."""
+    height: int = 360
+    """Height of a frame, pixels."""
+    rate: float = 10.0
+    """Frames per second of the episode's time."""
+    frames: int = 12
+    """Frames of the strip."""
+    json: bool = False
+    """Print what was written as one JSON document."""
+
+
+@dataclass(frozen=True)
+class Series:
+    """Samples of named joints over time; stamps in ns of the endpoint's clock."""
+
+    stamps_ns: NDArray[np.int64]
+    names: tuple[str, ...]
+    positions: Array
+
+    def at(self, stamps_ns: NDArray[np.int64]) -> Array:
+        """The newest sample at each time. Shape (len(stamps_ns), len(names))."""
+        index = np.searchsorted(self.stamps_ns, stamps_ns, side="right") - 1
+        picked: Array = self.positions[np.clip(index, 0, None)]
+        return picked
+
+
+def run_film(options: FilmCommand) -> int:
+    """Draw. Returns 0."""
+    if not options.rate > 0.0:
+        raise ConfigurationError(f"--rate is {options.rate}; it must be positive")
+    if options.frames < 1:
+        raise ConfigurationError(f"--frames is {options.frames}; at least 1 is needed")
+    recording = read_recording(options.recording)
+    layout = recorded_layout(recording)
+    observed = joint_series(recording, topics.POLICY_OBSERVATION)
+    episodes = split_episodes(observed.stamps_ns)
+    if not 1 <= options.episode <= len(episodes):
+        raise NotFoundError(
+            f"{options.recording} holds {len(episodes)} episodes; --episode is {options.episode}"
+        )
+    start, stop = episodes[options.episode - 1]
+    times = np.arange(start, stop + 1, round(1e9 / options.rate), dtype=np.int64)
+    frames = draw(
+        layout,
+        [
+            joint_series(recording, topics.YUMI_JOINT_STATES),
+            joint_series(recording, topics.YUMI_SCENE_STATES),
+        ],
+        times,
+        options,
+    )
+
+    from skewmi.sim import rendering
+
+    out = options.out if options.out is not None else options.recording.with_suffix(".gif")
+    values = observed.at(times)
+    labels = [
+        caption(observed.names, row, (t - start) / 1e9)
+        for row, t in zip(values, times, strict=True)
+    ]
+    labelled = [rendering.label(f, text) for f, text in zip(frames, labels, strict=True)]
+    rendering.write_film(out, labelled, frames_per_second=options.rate)
+    written = [str(out)]
+    if options.strip is not None:
+        chosen = np.unique(np.linspace(0, len(frames) - 1, options.frames).round().astype(int))
+        sheet = rendering.contact_sheet([frames[i] for i in chosen], [labels[i] for i in chosen])
+        rendering.write_picture(options.strip, sheet)
+        written.append(str(options.strip))
+    document = {
+        "files": written,
+        "episode": options.episode,
+        "episodes": len(episodes),
+        "frames": len(frames),
+        "duration_s": (stop - start) / 1e9,
+    }
+    print(json.dumps(document) if options.json else "wrote " + " and ".join(written))
+    return 0
+
+
+def recorded_layout(recording: Recording) -> PolicyLayout:
+    """The layout that the recording's policy used.
+
+    Raises:
+        ConfigurationError: The recording has none, or its task has no scene to draw.
+    """
+    if LAYOUT not in recording.metadata:
+        raise ConfigurationError(
+            f"{recording.path} does not say which task it shows; record with skewmi deploy"
+        )
+    return PolicyLayout.from_json(recording.metadata[LAYOUT])
+
+
+def joint_series(recording: Recording, topic: topics.Topic) -> Series:
+    """All samples of a JointState topic.
+
+    Raises:
+        ConfigurationError: There is none.
+    """
+    messages = recording.messages.get(topic.name, ())
+    samples: list[JointStates] = [decode_joint_states(message.payload) for message in messages]
+    if not samples:
+        raise ConfigurationError(f"{recording.path} holds nothing on {topic.name}")
+    names = samples[0].names
+    same = [sample for sample in samples if sample.names == names]
+    return Series(
+        np.array([sample.stamp_ns for sample in same], dtype=np.int64),
+        names,
+        np.array([sample.position for sample in same]),
+    )
+
+
+def split_episodes(stamps_ns: NDArray[np.int64]) -> list[tuple[int, int]]:
+    """First and last stamp of every episode, ns."""
+    breaks = np.flatnonzero(np.diff(stamps_ns) > EPISODE_GAP_S * 1e9) + 1
+    parts = np.split(stamps_ns, breaks)
+    return [(int(part[0]), int(part[-1])) for part in parts if len(part)]
+
+
+def draw(
+    layout: PolicyLayout, series: list[Series], times: NDArray[np.int64], options: FilmCommand
+) -> list[NDArray[np.uint8]]:
+    """One frame per time, with every recorded joint where it was reported.
+
+    Raises:
+        ConfigurationError: The task has no scene with these joints.
+    """
+    from skewmi.sim import rendering
+
+    if layout.task != "open_press_close":
+        raise ConfigurationError(f"task {layout.task!r} has no robot scene to draw")
+    import mujoco
+
+    from skewmi.robot_models import yumi
+    from skewmi.sim.open_press_close.scene import OpenPressCloseScene
+
+    model = OpenPressCloseScene().model
+    data = mujoco.MjData(model)
+    columns = [(item, [int(model.joint(n).qposadr[0]) for n in item.names]) for item in series]
+    driving, following = (int(model.joint(n).qposadr[0]) for n in yumi.finger_names("right"))
+    frames = []
+    with rendering.Renderer(model, width=options.width, height=options.height) as renderer:
+        for t in times:
+            for item, addresses in columns:
+                data.qpos[addresses] = item.at(np.array([t]))[0]
+            data.qpos[following] = data.qpos[driving]
+            frames.append(renderer.draw(data, options.camera))
+    return frames
+
+
+def caption(names: tuple[str, ...], values: Array, seconds: float) -> str:
+    """Time and the scene's part of an observation, for people."""
+    shown = dict(zip(names, values, strict=True))
+    parts = [f"{seconds:4.1f} s"]
+    if "lid_angle" in shown:
+        parts.append(f"lid {np.rad2deg(shown['lid_angle']):3.0f} deg")
+    if "button_depth" in shown:
+        parts.append(f"button {1e3 * shown['button_depth']:2.0f} mm")
+    return "  ".join(parts)
