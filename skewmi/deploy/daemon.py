@@ -45,6 +45,7 @@ from skewmi.robot_models.kinematics import ArmKinematics
 _log = logging.getLogger(__name__)
 
 STATUS_NAME = "skewmi_deploy"
+_WARM_CYCLES = 10
 
 
 class Daemon:
@@ -138,7 +139,25 @@ class Daemon:
             publish_policy=publish_policy,
             publish_gripper=self._open_gripper,
         )
+        self._warm_up(policy, Planner(workspace, limits))
         self._fire(DaemonEvent.CONNECTED, f"{description.backend} robot, {description.task}")
+
+    def _warm_up(self, policy: Policy, planner: Planner) -> None:
+        """Do once what every cycle does: first calls load code and build tables."""
+        self._stream.warm_up()
+        q = np.array(self._workspace.start_configuration)
+        planner.reset(q)
+        planner.set_target(np.array(self._workspace.start) + 0.01, self._layout.control_dt)
+        policy.reset()
+        policy.act(np.zeros(self._layout.observation_dim))
+        present = planner.present
+        for _ in range(_WARM_CYCLES):
+            chunk = planner.step()
+            for self._boxed in (False, True):
+                self._check(chunk.q, chunk.v, chunk.a, present)
+                self._guard(chunk.q, chunk.v, chunk.a, present)
+            present = planner.present
+        policy.reset()
 
     @property
     def state(self) -> DaemonState:

@@ -142,7 +142,11 @@ class EpisodeRunner:
                 cycle += 1
             self._times.stop()
             state = self._observer.next_state()
-            self._supervise(state)
+            try:
+                self._supervise(state)
+            except LateChunkError:
+                q, state = self._resync()
+                return state, q, False
 
     def run_policy(self, q_start: Array, state: ArmState) -> PolicyEnd:
         """Let the policy command the hand until success or the end of the episode's time.

@@ -34,7 +34,7 @@ class StopRequestedError(SkewmiError):
 
 
 class LateChunkError(CommandRefusedError):
-    """The endpoint refused a chunk because it came too late; the arm brakes."""
+    """The endpoint refused a chunk for coming too late or after a lost one; the arm brakes."""
 
 
 class RobotClient:
@@ -116,7 +116,7 @@ class RobotClient:
                 raise StopRequestedError(f"the endpoint is {status.message}")
             if self._note_refusals(status):
                 refusal = status.values.get("refusal", "")
-                late = "in the past" in refusal and not late_is_final
+                late = status.values.get("out_of_step") == "True" and not late_is_final
                 kind = LateChunkError if late else CommandRefusedError
                 raise kind(f"the endpoint refused a command: {refusal}")
 

@@ -32,6 +32,9 @@ are used on an idle machine."""
 SEND_MARGIN_NS = 4_000_000
 """A chunk that would be due sooner than this is not sent: it would probably come too late."""
 
+_WARM_SAMPLES = 120
+"""Chunks of the named limit profiles are shorter: 20 ms and a stop of at most 0.4 s."""
+
 
 class Samples(Protocol):
     """Samples of planned motion, as `planner.PlannedChunk`; each (n, 7)."""
@@ -103,6 +106,11 @@ class ChunkStream:
         self.missed_cycles = 0
         """Cycles in which no chunk could be sent in time."""
 
+    def warm_up(self) -> None:
+        """Lay out messages of every usual length, so that no first one is late by it."""
+        for count in range(2, _WARM_SAMPLES):
+            _encode(0, self._joint_names, _Rest(np.zeros((count, len(self._joint_names)))))
+
     def begin(self, q: Array, stamp_ns: int) -> None:
         """Start from rest.
 
@@ -152,20 +160,15 @@ class ChunkStream:
             if usage is not None:
                 self.usage = self.usage.merged(usage)
             self._times.lap(stage)
-        payload = encode_chunk(
-            TrajectoryChunk(
-                self._next_ns,
-                self._joint_names,
-                np.arange(len(chunk.q), dtype=np.int64) * GRID_NS,
-                chunk.q,
-                chunk.v,
-                chunk.a,
-            )
-        )
-        self._put(payload)
+        self._put(_encode(self._next_ns, self._joint_names, chunk))
         self._times.lap("send")
         self.sent = Sent(self._next_ns, chunk)
         self._next_ns += CYCLE_NS
+
+
+def _encode(stamp_ns: int, joint_names: tuple[str, ...], chunk: Samples) -> bytes:
+    times = np.arange(len(chunk.q), dtype=np.int64) * GRID_NS
+    return encode_chunk(TrajectoryChunk(stamp_ns, joint_names, times, chunk.q, chunk.v, chunk.a))
 
 
 @dataclass

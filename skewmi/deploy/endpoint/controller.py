@@ -24,7 +24,7 @@ from skewmi.deploy.endpoint.states import (
     EndpointEvent,
     EndpointState,
 )
-from skewmi.deploy.endpoint.validation import ChunkValidator
+from skewmi.deploy.endpoint.validation import BrokenStreamError, ChunkValidator
 from skewmi.deploy.messages import TrajectoryChunk, decode_chunk
 from skewmi.deploy.state_machine import StateMachine, Transition
 from skewmi.errors import CommandRefusedError, TransportError
@@ -69,8 +69,7 @@ class EndpointController:
         """First tick of the newest accepted chunk."""
         self.accepted = 0
         self.refused = 0
-        self.refusal = ""
-        """Why the last refused chunk was refused."""
+        self.refusals: list[tuple[str, bool]] = []
 
     @property
     def state(self) -> EndpointState:
@@ -98,20 +97,25 @@ class EndpointController:
             now_ns: Any monotonic clock, for the lease.
 
         Returns:
-            Whether it was accepted; if not, `refusal` says why.
+            Whether it was accepted; if not, `take_refusals` says why.
         """
         try:
             self._accept(decode_chunk(payload), gid, sequence, now_ns)
         except (CommandRefusedError, TransportError) as error:
-            self.note_refusal(str(error))
+            self.note_refusal(str(error), out_of_step=isinstance(error, BrokenStreamError))
             return False
         self.accepted += 1
         return True
 
-    def note_refusal(self, reason: str) -> None:
+    def note_refusal(self, reason: str, *, out_of_step: bool = False) -> None:
         """Count a refused command, for the status."""
         self.refused += 1
-        self.refusal = reason
+        self.refusals.append((reason, out_of_step))
+
+    def take_refusals(self) -> list[tuple[str, bool]]:
+        """Reasons since the last call, and whether each was only for being out of step."""
+        taken, self.refusals = self.refusals, []
+        return taken
 
     def _accept(self, chunk: TrajectoryChunk, gid: bytes, sequence: int, now_ns: int) -> None:
         if self.state not in ACCEPTS_COMMANDS:

@@ -7,6 +7,7 @@ has been accepted, as fast as both sides can; without a commander it stands stil
 
 from __future__ import annotations
 
+import gc
 import json
 import logging
 import threading
@@ -34,6 +35,7 @@ from skewmi.deploy.messages import (
     encode_joint_states,
     encode_status,
 )
+from skewmi.deploy.realtime import hot_loop
 from skewmi.deploy.state_machine import Transition
 from skewmi.deploy.transport import Link
 from skewmi.errors import CommandRefusedError, TransportError
@@ -52,6 +54,7 @@ a rush would make every chunk late that was planned in the meantime."""
 _STATUS_PERIOD_NS = 500_000_000
 _IDLE_REPUBLISH_NS = 50_000_000
 _IDLE_SLEEP_S = 30e-6
+_SHOWN_REFUSALS = 3
 
 
 @dataclass(frozen=True)
@@ -105,7 +108,8 @@ class EndpointServer:
         """Serve until `stop` is set, then brake and return."""
         if self._options.lock_step:
             self._run_lock_step(stop)
-        else:
+            return
+        with hot_loop(priority=True):
             self._run_real_time(stop)
 
     def _ended(self, stop: threading.Event) -> bool:
@@ -196,11 +200,15 @@ class EndpointServer:
     def _on_transition(self, transition: Transition[EndpointState]) -> None:
         _log.info("%s", transition)
         self._publish_status(transition.stamp_ns, transition)
+        if transition.target is EndpointState.DISARMED and not self._options.lock_step:
+            # The only moment at which nobody minds: inside the loop nothing is collected.
+            gc.collect()
 
     def _publish_status(
         self, stamp_ns: int, transition: Transition[EndpointState] | None = None
     ) -> None:
         controller = self._controller
+        refusals = controller.take_refusals()
         level = OK if controller.refused == 0 else WARN
         if controller.state is EndpointState.FAULT:
             level = ERROR
@@ -209,7 +217,8 @@ class EndpointServer:
             "reason": controller.machine.reason,
             "accepted": str(controller.accepted),
             "refused": str(controller.refused),
-            "refusal": controller.refusal,
+            "refusal": "; ".join(reason for reason, _ in refusals[:_SHOWN_REFUSALS]),
+            "out_of_step": str(all(out_of_step for _, out_of_step in refusals)),
             "commander": (controller.lease.holder or b"").hex(),
             "slips": str(self.slips),
         }

@@ -16,6 +16,14 @@ from skewmi.deploy.messages import TrajectoryChunk
 from skewmi.errors import CommandRefusedError, LimitViolationError
 from skewmi.policy_io import Array
 
+
+class BrokenStreamError(CommandRefusedError):
+    """A chunk came too late, or one before it is missing: sender and endpoint are out of step.
+
+    The commander may take up again from where the arm comes to rest.
+    """
+
+
 LimitCheck = Callable[[Array, Array, Array, PlanPoint], object]
 """(q, v, a, plan at the chunk's first tick) -> raises LimitViolationError."""
 
@@ -124,7 +132,7 @@ def check_time(chunk: TrajectoryChunk, rules: ValidationRules, now: int) -> int:
         )
     if tick < now:
         late_ms = (now - tick) * rules.grid_ns / 1e6
-        raise CommandRefusedError(f"stamp is {late_ms:g} ms in the past of the endpoint's clock")
+        raise BrokenStreamError(f"stamp is {late_ms:g} ms in the past of the endpoint's clock")
     ahead_ns = (tick - now) * rules.grid_ns
     if ahead_ns > rules.max_ahead_ns:
         raise CommandRefusedError(
@@ -151,7 +159,7 @@ def check_splice(chunk: TrajectoryChunk, present: PlanPoint, rules: ValidationRu
         step = np.abs(start - expected)
         joint = int(step.argmax())
         if step[joint] > tolerance:
-            raise CommandRefusedError(
+            raise BrokenStreamError(
                 f"splice: {what} of {rules.joint_names[joint]} steps by {step[joint]:.3g} {unit} "
                 f"from the endpoint's plan (tolerance {tolerance:g})"
             )
