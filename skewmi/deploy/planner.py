@@ -144,6 +144,11 @@ class Planner:
         """Planned q, v, a at the end of the planned cycle, where the next chunk starts."""
         return self._joints.q.copy(), self._joints.v.copy(), self._joints.a.copy()
 
+    def forward(self, q: Array) -> tuple[Array, Array]:
+        """Hand positions (..., 3) in world, m, and rotations (..., 3, 3) of configurations."""
+        position, rotation = self._kinematics.forward(q)
+        return position + self._base, rotation
+
     def reset(self, q: Array) -> None:
         """Start planning from rest at a configuration.
 
@@ -165,8 +170,8 @@ class Planner:
             raise LimitViolationError(
                 "joint position", float(q[worst]), float(bound[worst]), f"joint index {worst}"
             )
-        position, rotation = self._kinematics.forward(q)
-        outside = self._outside(position + self._base)
+        position, rotation = self.forward(q)
+        outside = self._outside(position)
         tilt = float(np.linalg.norm(rotation_vector(rotation.T @ self._rotation)))
         if outside > self._tolerance or tilt > MAX_START_TILT:
             raise KinematicsError(
@@ -175,7 +180,7 @@ class Planner:
                 f"{np.degrees(MAX_START_TILT):.1f} deg are allowed; move to the start first"
             )
         self._joints.restore(q, _REST, _REST)
-        self._hand.reseed(position + self._base, np.zeros(3))
+        self._hand.reseed(position, np.zeros(3))
         self._reference = Reference(
             self._hand.position_w, round(self.hand_bounds.lag_s / self._grid_dt)
         )
@@ -264,9 +269,8 @@ class Planner:
         """Continue from a sample of a chunk, and command the hand where it then is."""
         q, v, a = chunk.state(index)
         self._joints.restore(q, v, a)
-        position, _ = self._kinematics.forward(q)
         velocity = self._kinematics.jacobian(q)[:3] @ v
-        self._hand.reseed(position + self._base, velocity)
+        self._hand.reseed(self.forward(q)[0], velocity)
 
     def _outside(self, position_w: Array) -> float:
         """Largest distance outside of the box along an axis, m; negative inside."""
@@ -279,10 +283,10 @@ class Planner:
         high = np.maximum(chunk.q.max(axis=0), extent[1])
         if (low < joints.hard_lower).any() or (high > joints.hard_upper).any():
             return "a joint could not stop before its position limit"
-        position, _ = self._kinematics.forward(chunk.q)
+        position, _ = self.forward(chunk.q)
         # A hand that rests on the tolerance itself must not be caught there by a rounding error.
-        allowed = max(self._tolerance, self._outside(position[0] + self._base) + 1e-12)
-        if self._outside(position + self._base) > allowed:
+        allowed = max(self._tolerance, self._outside(position[0]) + 1e-12)
+        if self._outside(position) > allowed:
             return "the hand could not stop inside the workspace"
         steps = np.diff(position, axis=0)
         if float((steps * steps).sum(axis=1).max()) > (self._tcp_speed * self._grid_dt) ** 2:
