@@ -15,13 +15,12 @@ import tyro
 from numpy.typing import NDArray
 
 from skewmi.deploy import topics
-from skewmi.deploy.messages import JointStates, decode_joint_states
+from skewmi.deploy.daemon import STATUS_NAME
+from skewmi.deploy.daemon_states import DaemonState
+from skewmi.deploy.messages import JointStates, decode_joint_states, decode_status
 from skewmi.deploy.recording import LAYOUT, Recording, read_recording
 from skewmi.errors import ConfigurationError, NotFoundError
 from skewmi.policy_io import Array, PolicyLayout
-
-EPISODE_GAP_S = 1.0
-"""Observations further apart than this belong to different episodes."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +41,7 @@ class FilmCommand:
     """Width of a frame, pixels."""
     height: int = 360
     """Height of a frame, pixels."""
-    rate: float = 10.0
+    rate: float = 5.0
     """Frames per second of the episode's time."""
     frames: int = 12
     """Frames of the strip."""
@@ -74,7 +73,7 @@ def run_film(options: FilmCommand) -> int:
     recording = read_recording(options.recording)
     layout = recorded_layout(recording)
     observed = joint_series(recording, topics.POLICY_OBSERVATION)
-    episodes = split_episodes(observed.stamps_ns)
+    episodes = split_episodes(observed.stamps_ns, running_stamps(recording))
     if not 1 <= options.episode <= len(episodes):
         raise NotFoundError(
             f"{options.recording} holds {len(episodes)} episodes; --episode is {options.episode}"
@@ -150,10 +149,30 @@ def joint_series(recording: Recording, topic: topics.Topic) -> Series:
     )
 
 
-def split_episodes(stamps_ns: NDArray[np.int64]) -> list[tuple[int, int]]:
-    """First and last stamp of every episode, ns."""
-    breaks = np.flatnonzero(np.diff(stamps_ns) > EPISODE_GAP_S * 1e9) + 1
-    parts = np.split(stamps_ns, breaks)
+def running_stamps(recording: Recording) -> NDArray[np.int64]:
+    """When the daemon gave the arm to the policy, once per episode, ns of the endpoint's clock."""
+    found = []
+    for message in recording.messages.get(topics.YUMI_STATUS.name, ()):
+        status = decode_status(message.payload)
+        entered = status.values.get("state") == DaemonState.RUNNING.value
+        if status.name == STATUS_NAME and entered and "event" in status.values:
+            found.append(status.stamp_ns)
+    return np.array(found, dtype=np.int64)
+
+
+def split_episodes(
+    stamps_ns: NDArray[np.int64], starts_ns: NDArray[np.int64]
+) -> list[tuple[int, int]]:
+    """First and last observation of every episode.
+
+    Args:
+        stamps_ns: Of the observations, in order.
+        starts_ns: When each episode's policy began, in order.
+
+    Returns:
+        Stamps in ns; episodes without an observation are left out.
+    """
+    parts = np.split(stamps_ns, np.searchsorted(stamps_ns, starts_ns[1:]))
     return [(int(part[0]), int(part[-1])) for part in parts if len(part)]
 
 
