@@ -1,0 +1,282 @@
+"""The endpoint without its wires, on the real simulated robot: states, execution, refusals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from skewmi.deploy.endpoint.base import GRID_NS, BackendFaultError
+from skewmi.deploy.endpoint.controller import LEASE_NS, EndpointController
+from skewmi.deploy.endpoint.executor import PlanExecutor, PlanPoint
+from skewmi.deploy.endpoint.run import limit_check
+from skewmi.deploy.endpoint.sim_twin import SimTwin
+from skewmi.deploy.endpoint.states import EndpointState
+from skewmi.deploy.endpoint.validation import ChunkValidator, ValidationRules
+from skewmi.deploy.messages import TrajectoryChunk, encode_chunk
+from skewmi.deploy.start_motion import StartMotion
+from skewmi.errors import CommandRefusedError, NotFoundError
+from skewmi.robot_models import limits as joint_limits
+
+LAB = joint_limits.profile("lab")
+OURS, OTHER, GRIPPER = b"a" * 16, b"b" * 16, b"g" * 16
+TICK = GRID_NS
+
+
+class WatchedTwin(SimTwin):
+    """The twin, and every target that it was given."""
+
+    def __init__(self) -> None:
+        self.targets: list[PlanPoint] = []
+        super().__init__()
+
+    def step(self, target: PlanPoint) -> None:
+        self.targets.append(PlanPoint(*(x.copy() for x in target)))
+        super().step(target)
+
+
+@pytest.fixture(scope="module")
+def twin() -> WatchedTwin:
+    return WatchedTwin()
+
+
+@pytest.fixture
+def robot(twin: WatchedTwin) -> EndpointController:
+    twin.reset_scene(seed=0)
+    twin.targets.clear()
+    assert twin.layout.workspace is not None
+    rules = ValidationRules(joint_names=twin.joint_names, grid_ns=GRID_NS)
+    validator = ChunkValidator(rules, limit_check(LAB, twin.layout.workspace))
+    return EndpointController(twin, validator)
+
+
+def motion_from(robot: EndpointController, size: float = 0.03) -> StartMotion:
+    start = np.array(robot.commanded_position())
+    return StartMotion(start, start + size * np.array([1, -0.5, 0, 0.5, 0, 1, 0]), LAB)
+
+
+def payload(robot: EndpointController, motion: StartMotion, tick: int) -> bytes:
+    times = np.arange(len(motion.q), dtype=np.int64) * GRID_NS
+    names = tuple(robot.plan and robot._backend.joint_names)
+    return encode_chunk(TrajectoryChunk(tick * GRID_NS, names, times, motion.q, motion.v, motion.a))
+
+
+def run(robot: EndpointController, ticks: int, now_ns: int = 0) -> None:
+    for _ in range(ticks):
+        robot.step(now_ns)
+
+
+def start_moving(robot: EndpointController, size: float = 0.03) -> StartMotion:
+    motion = motion_from(robot, size)
+    robot.arm(OURS + GRIPPER, 0)
+    assert robot.receive(payload(robot, motion, robot.tick_index + 3), OURS, 1, 0)
+    return motion
+
+
+def assert_within_limits(q: np.ndarray) -> None:
+    """By differences of commanded positions on the grid: what a servo sees."""
+    h = GRID_NS / 1e9
+    for order, bound in ((1, LAB.velocity), (2, LAB.acceleration), (3, LAB.jerk)):
+        peak = np.abs(np.diff(q, n=order, axis=0)).max(axis=0) / h**order
+        assert (peak <= bound * (1 + 1e-6)).all(), (order, peak / bound)
+
+
+def test_disarmed_robot_holds_still_and_refuses(robot: EndpointController) -> None:
+    motion = motion_from(robot)
+    assert not robot.receive(payload(robot, motion, 5), OURS, 1, 0)
+    ((reason, out_of_step),) = robot.take_refusals()
+    assert "disarmed" in reason
+    assert "arm it first" in reason
+    assert not out_of_step
+    run(robot, 20)
+    assert robot.state is EndpointState.DISARMED
+    assert np.ptp([t.q for t in robot._backend.targets], axis=0).max() == 0.0
+
+
+def test_executes_chunks_exactly_on_the_grid(robot: EndpointController) -> None:
+    motion = start_moving(robot)
+    run(robot, 3 + len(motion.q) + 10)
+    targets = robot._backend.targets
+    expected = np.concatenate(
+        [np.tile(motion.q[0], (3, 1)), motion.q, np.tile(motion.q[-1], (10, 1))]
+    )
+    np.testing.assert_array_equal([t.q for t in targets], expected)
+    np.testing.assert_array_equal([t.v for t in targets[3:-10]], motion.v)
+    assert robot.state is EndpointState.HOLDING
+    measured = robot.measure().position[:7]
+    assert np.abs(measured - motion.q[-1]).max() < 0.02
+
+
+def test_keeps_executing_the_tail_if_nothing_newer_comes(robot: EndpointController) -> None:
+    whole = motion_from(robot, size=0.1)
+    robot.arm(OURS, 0)
+    for cycle in range(4):
+        chunk = whole.chunk(cycle)
+        times = np.arange(len(chunk.q), dtype=np.int64) * GRID_NS
+        stamp = (10 + 5 * cycle) * GRID_NS
+        names = robot._backend.joint_names
+        data = encode_chunk(TrajectoryChunk(stamp, names, times, chunk.q, chunk.v, chunk.a))
+        assert robot.receive(data, OURS, cycle + 1, 0), robot.refusals
+    assert np.abs(whole.chunk(3).v[5]).max() > 0.1, "the arm should be moving when all is quiet"
+    run(robot, 120)
+    q = np.array([t.q for t in robot._backend.targets])
+    assert_within_limits(q)
+    assert np.ptp(q[-20:], axis=0).max() == 0.0
+    assert robot.state is EndpointState.HOLDING
+
+
+@pytest.mark.parametrize("when", range(0, 30, 6))
+def test_stop_brakes_within_limits_and_disarms(robot: EndpointController, when: int) -> None:
+    motion = start_moving(robot)
+    run(robot, when)
+    robot.stop("test")
+    assert robot.state is EndpointState.STOPPING
+    assert not robot.receive(payload(robot, motion, robot.tick_index + 3), OURS, 2, 0)
+    with pytest.raises(CommandRefusedError, match="stopping"):
+        robot.arm(OURS, 0)
+    run(robot, 60)
+    assert robot.state is EndpointState.DISARMED
+    q = np.array([t.q for t in robot._backend.targets])
+    assert_within_limits(q)
+    assert np.ptp(q[-10:], axis=0).max() == 0.0
+
+
+def test_second_commander_is_refused_with_the_reason(robot: EndpointController) -> None:
+    start_moving(robot)
+    motion = motion_from(robot)
+    assert not robot.receive(payload(robot, motion, robot.tick_index + 50), OTHER, 1, 0)
+    assert "is not the commander" in robot.take_refusals()[0][0]
+    with pytest.raises(CommandRefusedError, match="holds the arm"):
+        robot.arm(OTHER, 0)
+    assert robot.state is EndpointState.EXECUTING
+
+
+def test_arming_without_gids_makes_the_first_valid_sender_the_commander(
+    robot: EndpointController,
+) -> None:
+    robot.arm(b"", 0)
+    motion = motion_from(robot)
+    assert robot.receive(payload(robot, motion, 3), OTHER, 9, 0)
+    assert not robot.receive(payload(robot, motion, 60), OURS, 10, 0)
+
+
+def test_silent_commander_loses_the_arm(robot: EndpointController) -> None:
+    start_moving(robot)
+    run(robot, 60, now_ns=LEASE_NS)
+    assert robot.state is EndpointState.HOLDING
+    run(robot, 1, now_ns=LEASE_NS + 1)
+    assert robot.state is EndpointState.DISARMED
+    assert "no command for 2 s" in robot.machine.reason
+    robot.arm(OTHER, LEASE_NS + 2)
+    assert robot.state is EndpointState.HOLDING
+
+
+def test_older_chunk_does_not_overwrite_a_newer_one(robot: EndpointController) -> None:
+    robot.arm(OURS, 0)
+    motion = motion_from(robot)
+    assert robot.receive(payload(robot, motion, 20), OURS, 1, 0)
+    assert not robot.receive(payload(robot, motion, 10), OURS, 2, 0)
+    assert "not after the last accepted one" in robot.take_refusals()[0][0]
+
+
+def test_joint_far_from_its_command_is_a_fault_until_acknowledged(
+    robot: EndpointController, twin: WatchedTwin
+) -> None:
+    robot.arm(OURS, 0)
+    pushed = twin._data.qpos[twin.scene.arm_qpos] + 0.5
+    twin._data.qpos[twin.scene.arm_qpos] = pushed
+    run(robot, 1)
+    assert robot.state is EndpointState.FAULT
+    assert "rad from its command" in robot.machine.reason
+    with pytest.raises(CommandRefusedError, match="fault"):
+        robot.arm(OURS, 0)
+    robot.stop("test")
+    assert robot.state is EndpointState.DISARMED
+    # It is held where it is now, not pulled back to where it was.
+    assert np.abs(np.array(robot.commanded_position()) - pushed).max() < 0.05
+
+
+def test_unphysical_simulation_is_a_fault(robot: EndpointController, twin: WatchedTwin) -> None:
+    twin._data.qvel[:] = np.nan
+    with pytest.raises(BackendFaultError, match="mjWARN"):
+        twin.step(robot.plan.point(0))
+    twin._data.qvel[:] = np.nan
+    run(robot, 1)
+    assert robot.state is EndpointState.FAULT
+
+
+def test_fault_while_moving_still_follows_the_tail(robot: EndpointController) -> None:
+    motion = start_moving(robot)
+    robot._tracking_limit = 1e-9
+    run(robot, 10)
+    assert robot.state is EndpointState.FAULT
+    robot.stop("test")
+    assert robot.state is EndpointState.FAULT, "a moving arm cannot be acknowledged"
+    run(robot, len(motion.q) + 10)
+    assert_within_limits(np.array([t.q for t in robot._backend.targets]))
+    robot.stop("test")
+    assert robot.state is EndpointState.DISARMED
+
+
+def test_scene_resets_at_rest_only(robot: EndpointController, twin: WatchedTwin) -> None:
+    start_moving(robot)
+    run(robot, 10)
+    with pytest.raises(CommandRefusedError, match="moving"):
+        robot.reset_scene(1)
+    run(robot, 60)
+    twin._data.qpos[twin.scene.lid_qpos] = 1.0
+    robot.reset_scene(1)
+    measured = robot.measure()
+    assert measured.scene_position[0] == 0.0
+    assert robot.commanded_position() == pytest.approx(measured.position[:7], abs=1e-12)
+
+
+def test_gripper_obeys_the_commander_only(robot: EndpointController) -> None:
+    with pytest.raises(CommandRefusedError, match="arm it first"):
+        robot.open_gripper(0.01, GRIPPER)
+    robot.arm(OURS + GRIPPER, 0)
+    with pytest.raises(CommandRefusedError, match="not the gripper's commander"):
+        robot.open_gripper(0.01, OTHER)
+    for wrong in (-0.001, 0.026, float("nan")):
+        with pytest.raises(CommandRefusedError, match="outside"):
+            robot.open_gripper(wrong, GRIPPER)
+    robot.open_gripper(0.02, GRIPPER)
+    run(robot, 300)
+    assert robot.measure().position[7] == pytest.approx(0.02, abs=1e-3)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=200)
+@given(data=st.binary(max_size=300))
+def test_bytes_that_are_no_chunk_change_nothing(robot: EndpointController, data: bytes) -> None:
+    robot.arm(OURS, 0)
+    assert not robot.receive(data, OURS, 1, 0)
+    assert not robot.receive(b"\x00\x01\x00\x00" + data, OURS, 2, 0)
+    assert robot.state is EndpointState.HOLDING
+    assert robot.plan.at_rest(robot.tick_index)
+
+
+@given(ends=st.lists(st.tuples(st.integers(0, 20), st.integers(2, 30)), max_size=8))
+def test_plan_is_the_newest_chunk_at_every_tick(ends: list[tuple[int, int]]) -> None:
+    plan, now = PlanExecutor(np.zeros(1), 0), 0
+    expected: dict[int, float] = {}
+    last = 0.0
+    for number, (ahead, length) in enumerate(ends, start=1):
+        now += 3
+        tick = now + ahead
+        q = np.full((length, 1), float(number))
+        plan.splice(tick, q, q, q, now)
+        for t in range(now, now + 100):
+            if t >= tick:
+                expected[t] = float(number)
+        last = float(number)
+    for t in range(now, now + 60):
+        assert plan.point(t).q[0] == expected.get(t, 0.0 if not ends else expected.get(t, 0.0))
+    assert plan.point(plan.last_tick + 1000).q[0] == last
+    assert plan.at_rest(plan.last_tick)
+    assert not plan.at_rest(plan.last_tick - 1)
+
+
+def test_unknown_task_is_named_with_those_that_exist() -> None:
+    with pytest.raises(NotFoundError, match="open_press_close"):
+        SimTwin("point_maze")
