@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -123,6 +124,7 @@ def test_kill_minus_nine(tmp_path, make_corridor, corridor_config) -> None:
         steps = 0
         while steps < 1000:
             assert child.poll() is None, "the run ended by itself"
+            time.sleep(0.02)
             names = [p.name for p in (killed / "checkpoints").glob("[0-9]*")]
             steps = max(map(int, names), default=0)
     finally:

@@ -46,7 +46,7 @@ def test_action_density_integrates_to_one_and_stays_finite_at_the_edge() -> None
     mean, log_std = actor(inputs)
     u = torch.linspace(-12.0, 12.0, 20_001, dtype=torch.float64)[:, None]
     action, log_prob = actor.sample(inputs, (u - mean) / log_std.exp())
-    integral = torch.trapezoid(log_prob.exp(), action[:, 0])
+    integral = torch.trapezoid(log_prob.exp(), action[:, 0]).detach()
     assert float(integral) == pytest.approx(1.0, abs=1e-5)
     _, extreme = actor.sample(inputs[:2], torch.full((2, 1), 1e3, dtype=torch.float64))
     assert torch.isfinite(extreme).all()
