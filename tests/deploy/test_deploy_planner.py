@@ -182,6 +182,24 @@ def test_does_not_drift_over_a_long_way(planner: Planner) -> None:
     assert np.abs(chunk.q[-1] - START).max() < 0.02
 
 
+def test_settles_where_the_training_kinematics_do(planner: Planner) -> None:
+    """mink's answer and the batched one of the simulation put the hand at the same pose."""
+    rng = np.random.default_rng(5)
+    base = np.array(planner.workspace.base_position)
+    for target in rng.uniform(planner.workspace.low, planner.workspace.high, (4, 3)):
+        planner.set_target(target, 1.5)
+        for _ in range(160):
+            chunk = planner.step()
+        trained = KINEMATICS.inverse(
+            target - base, frames.HAND_DOWN, START, posture=START, max_iterations=50
+        )
+        expected, expected_rotation = KINEMATICS.forward(trained.q)
+        position, rotation = KINEMATICS.forward(chunk.q[-1])
+        assert np.linalg.norm(position - expected) < 1e-4
+        tilt = np.linalg.norm(rotation_vector(rotation.T @ expected_rotation))
+        assert np.degrees(tilt) < 0.05
+
+
 # Path quality.
 
 
