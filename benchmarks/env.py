@@ -12,9 +12,9 @@ of threads, which is put into the recorded state (not timed), gets the recorded 
 the same number of physics steps with `step(nstep=...)` (timed). So both compute the same contacts
 within the same milliseconds. The figure is the median of raw time / environment time over blocks
 of control steps. `ratio_to_rollout` compares with `Batch.rollout` of the
-linearly interpolated targets instead: the very physics of the environment, which the benchmark
+targets at every physics step instead: the very physics of the environment, which the benchmark
 proves by `rollout_state_difference`, the largest difference of a position at the end of a control
-step (only rounding of the recorded targets is left).
+step.
 """
 
 from __future__ import annotations
@@ -54,6 +54,7 @@ class Recording:
     actions: Array
     before: list[dict[str, Array]]
     after: list[dict[str, Array]]
+    targets: list[Array]
     contacts: float
 
 
@@ -80,13 +81,14 @@ def record(env: Any, seed: int, steps: int) -> Recording:
     """Run one episode and keep what the bare simulation needs to do the same."""
     actions = make_actions(env, steps, np.random.default_rng(seed))
     env.reset(seed)
-    before, after, contacts = [], [], []
+    before, after, targets, contacts = [], [], [], []
     for action in actions:
         before.append(state_of(env.batch))
         env.step(action)
         after.append(state_of(env.batch))
+        targets.append(env.servo_targets.copy())
         contacts.append(np.mean(count_contacts(env.batch)))
-    return Recording(actions, before, after, float(np.mean(contacts)))
+    return Recording(actions, before, after, targets, float(np.mean(contacts)))
 
 
 def count_contacts(batch: Batch) -> list[int]:
@@ -109,14 +111,6 @@ def bare_batch(env: Any, threads: int) -> Batch:
         if values is not None:
             batch.expand(name)[:] = values
     return batch
-
-
-def interpolated(before: dict[str, Array], after: dict[str, Array], substeps: int) -> Array:
-    """Targets at every substep. Shape (num_envs, substeps, nu)."""
-    fraction = (np.arange(1, substeps + 1) / substeps)[:, None]
-    start, end = before["ctrl"][:, None, :], after["ctrl"][:, None, :]
-    targets: Array = (end - start) * fraction + start
-    return targets
 
 
 def measure_physics_task(
@@ -152,9 +146,8 @@ def measure_physics_task(
                         spent[kind] += time.perf_counter() - start
                     else:
                         restore(replay, recording.before[k])
-                        targets = interpolated(recording.before[k], recording.after[k], substeps)
                         start = time.perf_counter()
-                        replay.rollout(substeps, targets, record=())
+                        replay.rollout(substeps, recording.targets[k], record=())
                         spent[kind] += time.perf_counter() - start
                         error = np.abs(replay.bind("qpos") - recording.after[k]["qpos"])
                         difference = max(difference, float(error.max()))

@@ -96,12 +96,13 @@ class SimTwin:
         )
 
     def step(self, target: PlanPoint) -> None:
-        """Follow the position servo target `target.q` for 4 ms.
+        """Follow the servo target `target.q`, with `target.v` as feed-forward, for 4 ms.
 
         Raises:
             BackendFaultError: MuJoCo found a state that is not physical.
         """
-        self._data.ctrl[self.scene.arm_ctrl] = target.q
+        controls = self.scene.controls(target.q, 0.0, target.v)
+        self._data.ctrl[self.scene.arm_ctrl] = controls[self.scene.arm_ctrl]
         mujoco.mj_step(self.scene.model, self._data, self._substeps)
         raised = [
             mujoco.mjtWarning(index).name

@@ -164,10 +164,21 @@ def add_parts(spec: mujoco.MjSpec) -> None:
     _add_box(
         button, "button_plate", _BUTTON, _BUTTON_YELLOW, origin=button_centre, mass=BUTTON_MASS
     )
-    _add_lights_and_cameras(spec)
+    _add_surroundings(spec)
 
 
-def _add_lights_and_cameras(spec: mujoco.MjSpec) -> None:
+def _add_surroundings(spec: mujoco.MjSpec) -> None:
+    """Background, lights and cameras."""
+    spec.add_texture(
+        name="background",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=(0.88, 0.91, 0.94),
+        rgb2=(0.50, 0.57, 0.65),
+        width=128,
+        height=768,
+    )
+    spec.visual.quality.shadowsize = 4096
     world = spec.worldbody
     directional = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
     world.add_light(
@@ -187,7 +198,7 @@ def _add_lights_and_cameras(spec: mujoco.MjSpec) -> None:
         diffuse=(0.35, 0.35, 0.38),
     )
     for name, eye, target, fovy in (
-        ("overview", (1.05, -0.95, 0.75), (-0.20, -0.05, 0.18), 45.0),
+        ("overview", (0.88, -0.85, 0.66), (-0.17, -0.08, 0.17), 45.0),
         ("side", (0.75, -0.07, 0.28), (-0.05, -0.05, 0.14), 40.0),
         ("front", (0.10, -0.80, 0.32), (-0.02, -0.05, 0.12), 40.0),
         ("close", (0.42, -0.42, 0.30), (-0.01, -0.08, 0.10), 40.0),

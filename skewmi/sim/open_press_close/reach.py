@@ -8,8 +8,10 @@ from numpy.typing import NDArray
 from skewmi.policy_io import Array, PolicyLayout
 from skewmi.robot_models import yumi
 
-MARGIN = 0.003
-"""How far contact may push the hand out of its box, m, and the softness of the stops, rad or m."""
+STOP_MARGIN = 0.003
+"""How far soft stops give way: of lid, button and fingers, rad or m, and the lid's surface, m."""
+HAND_MARGIN = 0.015
+"""How far contact may push the hand out of its box, m: as far as the command may lead it."""
 
 _TIP = yumi.GRIPPER.finger_origin_z + yumi.GRIPPER.finger_size[2]
 """Distance from the flange to the fingertips, m."""
@@ -38,10 +40,11 @@ def reachable(layout: PolicyLayout, state: Array) -> NDArray[np.bool_]:
     value = {name: state[..., i] for i, name in enumerate(names[: layout.state_dim])}
     possible = np.ones(state.shape[:-1], dtype=np.bool_)
     for field in layout.state_fields:
-        possible &= value[field.name] >= field.low - MARGIN
-        possible &= value[field.name] <= field.high + MARGIN
+        margin = HAND_MARGIN if field.name.startswith("hand_") else STOP_MARGIN
+        possible &= value[field.name] >= field.low - margin
+        possible &= value[field.name] <= field.high + margin
     tip = value["hand_z"] - _TIP
     inner_finger = value["hand_y"] - value["gripper"] - yumi.GRIPPER.finger_size[0]
-    below_lid = (tip < _LID_TOP - MARGIN) & (inner_finger < _LID_EDGE)
+    below_lid = (tip < _LID_TOP - STOP_MARGIN) & (inner_finger < _LID_EDGE)
     possible &= ~(below_lid & (value["lid_angle"] < _LID_NEARLY_SHUT))
     return possible

@@ -59,7 +59,15 @@ class OpenPressCloseBatch:
 
     A control step is the deployed command path: the action moves the commanded hand position
     (`integrate_command`), inverse kinematics follows it from the commanded configuration, and
-    the servos' targets run linearly to the new one over the substeps.
+    the servos' targets run linearly to the new one over the substeps, with the velocity of that
+    line as feed-forward.
+
+    Attributes:
+        num_envs, layout: See `BatchEnv`.
+        scene: Models and addresses.
+        batch: The simulations; runs `scene.physics_model`.
+        servo_targets: Controls at every substep of the last step, overwritten by the next.
+            Shape (num_envs, substeps, nu).
     """
 
     num_envs: int
@@ -109,7 +117,7 @@ class OpenPressCloseBatch:
         # Held from step to step, because allocating them costs as much as several substeps.
         steps = definition.SUBSTEPS
         self._fraction = (np.arange(1, steps + 1) / steps)[:, None]
-        self._targets = np.empty((self.num_envs, steps, self.scene.model.nu))
+        self.servo_targets = np.empty((self.num_envs, steps, self.scene.model.nu))
         self._record = {
             "sensordata": np.empty((self.num_envs, steps, self.scene.model.nsensordata))
         }
@@ -152,7 +160,7 @@ class OpenPressCloseBatch:
         values = checked_action(action, self.num_envs, self.layout.action_dim)
         self._move_command(values)
         self.batch.rollout(
-            definition.SUBSTEPS, self._targets, record=("sensordata",), out=self._record
+            definition.SUBSTEPS, self.servo_targets, record=("sensordata",), out=self._record
         )
         self._check_physics()
         self._step_index += 1
@@ -181,8 +189,8 @@ class OpenPressCloseBatch:
         velocity = (self._command_q - q_before) / self.layout.control_dt
         first = self.scene.controls(q_before, opening_before, velocity)
         last = self.scene.controls(self._command_q, self._command_opening, velocity)
-        np.multiply((last - first)[:, None, :], self._fraction, out=self._targets)
-        self._targets += first[:, None, :]
+        np.multiply((last - first)[:, None, :], self._fraction, out=self.servo_targets)
+        self.servo_targets += first[:, None, :]
 
     def _check_physics(self) -> None:
         bad = np.flatnonzero(self.batch.warning.any(axis=1))
