@@ -11,10 +11,9 @@ step in turn through the environment and through a bare `Batch` of the same mode
 of threads, which is put into the recorded state (not timed), gets the recorded targets, and does
 the same number of physics steps with `step(nstep=...)` (timed). So both compute the same contacts
 within the same milliseconds. The figure is the median of raw time / environment time over blocks
-of control steps. `ratio_to_rollout` compares with `Batch.rollout` of the
-targets at every physics step instead: the very physics of the environment, which the benchmark
-proves by `rollout_state_difference`, the largest difference of a position at the end of a control
-step.
+of control steps. `ratio_to_rollout` compares with `Batch.rollout` of the recorded targets of every
+physics step instead: the very physics of the environment, which `rollout_state_difference` proves,
+the largest difference of a position at the end of a control step.
 """
 
 from __future__ import annotations
