@@ -160,11 +160,11 @@ class RolloutConfig:
 
 @dataclass(frozen=True)
 class Condition:
-    """A field inside a closed interval."""
+    """A field inside a closed interval; None leaves that side open."""
 
     field: str
-    low: float = float("-inf")
-    high: float = float("inf")
+    low: float | None = None
+    high: float | None = None
 
 
 @dataclass(frozen=True)
@@ -251,7 +251,7 @@ class TrainConfig:
 
     def to_json(self) -> str:
         """Readable JSON at full precision."""
-        return json.dumps(asdict(self), indent=1)
+        return json.dumps(asdict(self), indent=1, allow_nan=False)
 
     @staticmethod
     def from_json(text: str) -> TrainConfig:

@@ -67,7 +67,10 @@ class Discoveries:
         met = np.ones(observations.shape[:-1], dtype=np.bool_)
         for c in event.conditions:
             value = observations[..., self._names.index(c.field)]
-            met &= (value >= c.low) & (value <= c.high)
+            if c.low is not None:
+                met &= value >= c.low
+            if c.high is not None:
+                met &= value <= c.high
         return met
 
 
@@ -80,14 +83,21 @@ class Convergence:
     def __init__(self, share: float, tolerance: float) -> None:
         self.threshold = share - tolerance
         self.shares: deque[float] = deque(maxlen=self.TRAJECTORIES)
+        self.returns: deque[float] = deque(maxlen=self.TRAJECTORIES)
 
     def add(self, rewards: Array) -> None:
         """Take in finished trajectories, rewards of shape (n, steps)."""
         self.shares.extend((rewards[:, -self.STATES :] > 0.0).mean(1).tolist())
+        self.returns.extend(rewards.sum(1).tolist())
 
     @property
     def share(self) -> float:
         return float(np.mean(self.shares)) if self.shares else 0.0
+
+    @property
+    def score(self) -> tuple[float, float]:
+        """Orders policies: the share, then the mean return of the same trajectories."""
+        return self.share, float(np.mean(self.returns)) if self.returns else 0.0
 
     @property
     def converged(self) -> bool:

@@ -189,8 +189,8 @@ class Trainer:
 
     def improved(self) -> bool:
         """Whether the evaluation is better than ever before; remembers that it was."""
-        score = (self.convergence.share, float(np.mean(self.convergence.shares)))
-        if score[0] <= self.best_score[0]:
+        score = self.convergence.score
+        if score <= self.best_score:
             return False
         self.best_score = score
         return True
@@ -224,6 +224,7 @@ class Trainer:
             "command_goal": self.command.tolist(),
             "evaluation_share": self.convergence.share,
             "evaluation_shares": list(self.convergence.shares),
+            "evaluation_returns": list(self.convergence.returns),
             "discoveries": self.discoveries.first,
             "moments": self.moments.state(),
             "numpy_random": self.generator.bit_generator.state,
@@ -257,6 +258,7 @@ class Trainer:
             self.best_score = (s["best_score"][0], s["best_score"][1])
             self.command = np.asarray(s["command_goal"], dtype=np.float64)
             self.convergence.shares.extend(s["evaluation_shares"])
+            self.convergence.returns.extend(s["evaluation_returns"])
             self.discoveries.first = s["discoveries"]
             self.moments.load(s["moments"])
             self.generator.bit_generator.state = s["numpy_random"]

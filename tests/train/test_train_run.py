@@ -16,12 +16,13 @@ import pytest
 import torch
 
 from skewmi.errors import CheckpointError, ConfigurationError, LayoutMismatchError, NotFoundError
+from skewmi.policy_io import Ball
 from skewmi.train import checkpoint as checkpoints
 from skewmi.train.checkpoint import load_policy, read_checkpoint, read_run_header
-from skewmi.train.config import TrainConfig
+from skewmi.train.config import Condition, Event, TrainConfig
 from skewmi.train.inputs import InputMap
 from skewmi.train.log import read_metrics
-from skewmi.train.milestones import Convergence
+from skewmi.train.milestones import Convergence, Discoveries
 from skewmi.train.presets import PRESETS, preset
 from skewmi.train.rollout import GoalSource, plan_goals
 from skewmi.train.run import TIME_COLUMNS, run_train
@@ -105,7 +106,8 @@ import sys, dataclasses, importlib.util
 spec = importlib.util.spec_from_file_location("corridor_conftest", sys.argv[1])
 m = importlib.util.module_from_spec(spec); spec.loader.exec_module(m)
 from pathlib import Path
-from skewmi.train.config import TrainConfig
+from skewmi.policy_io import Ball
+from skewmi.train.config import Condition, Event, TrainConfig
 from skewmi.train.run import run_train
 config = TrainConfig.from_json(Path(sys.argv[2]).read_text())
 run_train(config, m.Corridor(), Path(sys.argv[3]), resume=True, progress=False)
@@ -239,6 +241,46 @@ def test_convergence_is_the_published_criterion() -> None:
         convergence.add(bad)
     assert convergence.share == pytest.approx(0.86)
     assert not convergence.converged
+
+
+def test_first_times_are_the_first(make_corridor, corridor_config) -> None:
+    layout = make_corridor().layout
+    found = Discoveries(layout, corridor_config.measure.events)
+    observations, rewards = np.zeros((4, 40, 3)), np.zeros((4, 40))
+    assert found.add(observations, rewards, 0, 0) == []
+    observations[1, 30:, 0] = 3.0
+    observations[3, 7, 0] = 3.0  # the earliest step, though not the first row
+    assert found.add(observations, rewards, 4, 160) == ["right side"]
+    assert found.first["right side"] == {"trajectory": 4 + 3 + 1, "step": 160 + 8 * 4}
+    rewards[0, 5] = 1.0
+    assert found.add(observations, rewards, 8, 320) == ["reward"]
+    assert found.first["right side"]["trajectory"] == 8
+
+
+def test_event_of_an_unknown_field_is_refused(make_corridor) -> None:
+    event = Event("lid", (Condition("lid_angle", low=0.5),))
+    with pytest.raises(ConfigurationError, match="lid_angle"):
+        Discoveries(make_corridor().layout, (event,))
+
+
+def test_best_checkpoint_is_the_best_evaluated(tmp_path, make_corridor, corridor_config) -> None:
+    # Every state is rewarded where x < 4, so that evaluation succeeds at once.
+    env = make_corridor()
+    everywhere = replace(env.layout, reward_region=(Ball(("x",), (2.0,), 2.0),))
+    env.layout = everywhere
+    result = run_train(corridor_config, env, tmp_path, progress=False)
+    assert result.evaluation_share == 1.0
+    # One evaluated trajectory per iteration of five.
+    assert result.converged_at is None  # six iterations, the criterion wants ten
+    best, latest = read_checkpoint(tmp_path, "best"), read_checkpoint(tmp_path)
+    assert best.path.name.startswith("best-")
+    assert best.state["best_score"] == [1.0, 40.0]
+    assert best.state["step"] <= latest.state["step"]
+    assert load_policy(tmp_path, "best").metadata["evaluation_share"] == 1.0
+    longer = replace(corridor_config, total_steps=4000, stop_on_convergence=True)
+    result = run_train(longer, env, tmp_path, resume=True, progress=False)
+    assert result.stopped_by == "convergence"
+    assert result.converged_at == 50
 
 
 def test_goals_switch_at_the_asked_rate() -> None:
