@@ -8,9 +8,10 @@ import mujoco
 
 from skewmi.batch_env import BatchEnv
 from skewmi.errors import ConfigurationError
-from skewmi.sim.offscreen import Image, make_renderer
+from skewmi.sim.offscreen import Image
 from skewmi.sim.point_maze.scene import MazePicture
 from skewmi.sim.point_maze.task import PointMazeBatch
+from skewmi.sim.rendering import Renderer
 
 if TYPE_CHECKING:
     from skewmi.sim.open_press_close.task import OpenPressCloseBatch
@@ -70,19 +71,16 @@ class BoxCamera:
         self._env = env
         self._size = (width, height)
         self._data = mujoco.MjData(env.scene.model)
-        self._renderer: mujoco.Renderer | None = None
+        self._renderer: Renderer | None = None
 
     def render(self, index: int) -> Image:
         """See `Camera.render`."""
         if self._renderer is None:
-            self._renderer = make_renderer(self._env.scene.model, *self._size)
+            width, height = self._size
+            self._renderer = Renderer(self._env.scene.model, width=width, height=height)
         # The batch runs a model without visual geoms; the positions mean the same in both.
         self._data.qpos[:] = self._env.batch.bind("qpos")[index]
-        mujoco.mj_kinematics(self._env.scene.model, self._data)
-        mujoco.mj_camlight(self._env.scene.model, self._data)
-        self._renderer.update_scene(self._data, "overview")
-        image: Image = self._renderer.render()
-        return image
+        return self._renderer.draw(self._data, "overview")
 
     def close(self) -> None:
         """See `Camera.close`."""
