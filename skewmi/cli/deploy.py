@@ -49,6 +49,9 @@ class DeployCommand:
     """Joint limit profile (lab, careful); none is verified on hardware."""
     speed: float = 1.0
     """Share of the training's speed, 0.1..1."""
+    lead_ms: float = 24.0
+    """Time from a robot state to the motion that answers it, ms, a multiple of 4: raise it if
+    cycles are missed on a busy computer, at the price of slower reactions."""
     record: Path | None = None
     """MCAP file to record everything to."""
     overwrite: bool = False
@@ -77,6 +80,7 @@ def deploy_policy(options: DeployCommand) -> DeployReport:
                 lock_step=options.lock_step,
                 limits=options.limits,
                 speed=options.speed,
+                lead_ms=options.lead_ms,
                 dry_run=options.dry_run,
                 record=options.record,
                 overwrite=options.overwrite,

@@ -120,6 +120,7 @@ class Daemon:
             (("check", self._check), ("guard", self._guard)),
             self._times,
             lock_step=options.lock_step,
+            lead_ns=round(options.lead_ms * 1e6),
         )
 
         def publish_policy(observation: bytes, action: bytes) -> None:

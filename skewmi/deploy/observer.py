@@ -19,7 +19,7 @@ MAX_JOINT_AGE_S = 0.100
 """Joint states older than this stop the arm."""
 MAX_SCENE_AGE_S = 0.200
 """Scene states older than this stop the arm."""
-LOCK_STEP_PATIENCE_S = 10.0
+LOCK_STEP_PATIENCE_S = 30.0
 """In lock-step nothing is ever old; an endpoint that says nothing for so long is gone."""
 
 SCENE_FIELDS = {"lid_hinge": "lid_angle", "button_slide": "button_depth"}
@@ -152,7 +152,11 @@ class Observer:
 
     def hand_position(self, state: ArmState) -> Array:
         """Measured hand in world by forward kinematics, m. Shape (3,)."""
-        position, _ = self._kinematics.forward(state.q)
+        return self.hand_of(state.q)
+
+    def hand_of(self, q: Array) -> Array:
+        """Hand in world at joint angles, m. Shape (7,) -> (3,)."""
+        position, _ = self._kinematics.forward(q)
         hand: Array = position + frames.BASE_IN_WORLD
         return hand
 

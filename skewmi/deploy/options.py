@@ -24,6 +24,10 @@ class DeployOptions:
     """Joint limit profile to plan with."""
     speed: float = 1.0
     """Share of the training's speed, 0.1..1; every control step takes 1 / speed times as long."""
+    lead_ms: float = 24.0
+    """Time from a robot state to the start of the motion that answers it, ms, a multiple of 4:
+    what planning, link and jitter may take together. More tolerates a busier computer, less
+    reacts faster."""
     start_spread: float = 0.005
     """Half-width of the uniform offset of the hand's start, m per axis, as in training."""
     dry_run: bool = False
@@ -44,6 +48,10 @@ class DeployOptions:
             raise ConfigurationError(f"episodes is {self.episodes}; it must be at least 1")
         if not 0.1 <= self.speed <= 1.0:
             raise ConfigurationError(f"speed is {self.speed}; it must be in 0.1..1")
+        if not (8.0 <= self.lead_ms <= 100.0 and (self.lead_ms / 4.0).is_integer()):
+            raise ConfigurationError(
+                f"lead_ms is {self.lead_ms}; it must be a multiple of 4 in 8..100"
+            )
         if not 0.0 <= self.start_spread <= 0.05:
             raise ConfigurationError(
                 f"start_spread is {self.start_spread} m; it must be in 0..0.05 m"

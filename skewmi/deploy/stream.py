@@ -25,12 +25,11 @@ CYCLE_NS = 20_000_000
 """Planner cycle: 50 Hz."""
 CYCLE_TICKS = CYCLE_NS // GRID_NS
 
-LEAD_CYCLES = 2
-"""Cycles from the state that a chunk answers to the chunk's stamp: 40 ms, of which about 5 ms
-are used on an idle machine."""
+SEND_MARGIN_NS = 6_000_000
+"""A chunk that would be due sooner than this is not planned: it would probably come too late."""
 
-SEND_MARGIN_NS = 4_000_000
-"""A chunk that would be due sooner than this is not sent: it would probably come too late."""
+_HISTORY = 8
+"""Chunks that are remembered for comparing measured with commanded motion: 160 ms."""
 
 _WARM_SAMPLES = 120
 """Chunks of the named limit profiles are shorter: 20 ms and a stop of at most 0.4 s."""
@@ -80,7 +79,7 @@ class ChunkStream:
         joint_names: Chain order.
         checks: Each judges a chunk before it is sent.
         lock_step: The endpoint waits, so nothing is ever late.
-        lead_cycles: See the module.
+        lead_ns: See the module; a multiple of the grid.
     """
 
     def __init__(
@@ -91,16 +90,17 @@ class ChunkStream:
         times: CycleTimes,
         *,
         lock_step: bool,
-        lead_cycles: int = LEAD_CYCLES,
+        lead_ns: int,
     ) -> None:
         self._put = put
         self._joint_names = joint_names
         self._checks = checks
         self._times = times
         self._lock_step = lock_step
-        self._lead_ns = lead_cycles * CYCLE_NS
+        self._lead_ns = lead_ns
         self._next_ns = 0
         self.sent: Sent | None = None
+        self._history: list[Sent] = []
         self.usage = LimitUsage()
         """Largest use of each limit over everything sent, braking tails included."""
         self.missed_cycles = 0
@@ -121,6 +121,7 @@ class ChunkStream:
         rest = _Rest(np.tile(q, (CYCLE_TICKS + 1, 1)))
         self._next_ns = stamp_ns + self._lead_ns
         self.sent = Sent(self._next_ns - CYCLE_NS, rest)
+        self._history = [self.sent]
 
     def due(self, stamp_ns: int, received_ns: int) -> Iterator[int]:
         """Splices of the chunks that are due now that a state has come.
@@ -163,7 +164,13 @@ class ChunkStream:
         self._put(_encode(self._next_ns, self._joint_names, chunk))
         self._times.lap("send")
         self.sent = Sent(self._next_ns, chunk)
+        self._history = [*self._history[-_HISTORY:], self.sent]
         self._next_ns += CYCLE_NS
+
+    def commanded(self, stamp_ns: int) -> Array:
+        """Joint angles that were commanded for a time not long ago, rad. Shape (7,)."""
+        sent = next((s for s in reversed(self._history) if s.stamp_ns <= stamp_ns), None)
+        return (self._history[0] if sent is None else sent).at(stamp_ns)[0]
 
 
 def _encode(stamp_ns: int, joint_names: tuple[str, ...], chunk: Samples) -> bytes:

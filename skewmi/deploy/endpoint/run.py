@@ -10,7 +10,7 @@ import numpy as np
 
 from skewmi.deploy.description import EndpointDescription
 from skewmi.deploy.endpoint.base import GRID_NS
-from skewmi.deploy.endpoint.controller import EndpointController
+from skewmi.deploy.endpoint.controller import LEASE_NS, EndpointController
 from skewmi.deploy.endpoint.executor import PlanPoint
 from skewmi.deploy.endpoint.server import EndpointServer, ServerOptions
 from skewmi.deploy.endpoint.sim_twin import SimTwin
@@ -22,6 +22,9 @@ from skewmi.robot_models.kinematics import ArmKinematics
 from skewmi.robot_models.limits import JointLimits
 
 NODE_NAME = "skewmi_robot"
+
+LOCK_STEP_LEASE_NS = 20_000_000_000
+"""In lock-step the arm waits for a commander however slow; only a dead one loses it."""
 
 
 def limit_check(limits: JointLimits, workspace: Workspace) -> LimitCheck:
@@ -84,7 +87,11 @@ def run_sim_endpoint(
         assert backend.layout.workspace is not None
         rules = ValidationRules(joint_names=backend.joint_names, grid_ns=GRID_NS)
         check = limit_check(options.limits, backend.layout.workspace)
-        controller = EndpointController(backend, ChunkValidator(rules, check))
+        controller = EndpointController(
+            backend,
+            ChunkValidator(rules, check),
+            lease_ns=LOCK_STEP_LEASE_NS if options.lock_step else LEASE_NS,
+        )
         server = EndpointServer(
             backend, controller, link, ServerOptions(options.limits, options.lock_step)
         )
