@@ -12,6 +12,10 @@ In lock-step both sides wait for each other's next message, so a dropped one wou
 run: then sending blocks instead. Zenoh closes a session that stays blocked for five seconds,
 which in lock-step can only mean that the peer is gone.
 
+A subscription takes effect some milliseconds after `subscribe` returns, and Zenoh's matching
+status tells of it before messages flow: whoever must not miss a first message waits for one,
+or asks a service first.
+
 Threads: a `Link` and its readers belong to the thread that uses them; handlers of services
 declared without `polled` run in a thread each.
 """
