@@ -177,20 +177,15 @@ class ChunkChecker:
     def _check_names(self, names: Sequence[str]) -> None:
         if tuple(names) != self.joint_names:
             same = sum(a == b for a, b in zip(names, self.joint_names, strict=False))
-            raise LimitViolationError(
-                "joint names in place",
-                same,
-                len(self.joint_names),
-                f"got {list(names)[:10]}, expected {list(self.joint_names)}",
-            )
+            detail = f"got {list(names)[:10]}, expected {list(self.joint_names)}"
+            raise LimitViolationError("joint names in place", same, len(self.joint_names), detail)
 
     def _check_form(self, q: Array, v: Array, a: Array) -> None:
         joints = len(self.joint_names)
         for name, array in (("q", q), ("v", v), ("a", a)):
             if array.ndim != 2 or array.shape[1] != joints or array.shape[0] != q.shape[0]:
-                raise LimitViolationError(
-                    "chunk shape", array.size, joints, f"{name} has shape {array.shape}"
-                )
+                detail = f"{name} has shape {array.shape}"
+                raise LimitViolationError("chunk shape", array.size, joints, detail)
             if not np.isfinite(array).all():
                 raise LimitViolationError("finite numbers", float("nan"), 0.0, f"in {name}")
         if not 2 <= len(q) <= MAX_SAMPLES:
@@ -201,9 +196,8 @@ class ChunkChecker:
             raise LimitViolationError("chunk times", times_ns.size, n)
         off = np.abs(times_ns - self._grid_ns * np.arange(n, dtype=np.int64))
         if off.any():
-            raise LimitViolationError(
-                "time off the grid, ns", int(off.max()), 0, f"grid step {self._grid_ns} ns from 0"
-            )
+            detail = f"grid step {self._grid_ns} ns from 0"
+            raise LimitViolationError("time off the grid, ns", int(off.max()), 0, detail)
 
     def _check_ends(
         self,
@@ -216,18 +210,12 @@ class ChunkChecker:
     ) -> None:
         for name, array in (("velocity", v), ("acceleration", a)):
             _require(f"{name} at the end", np.abs(array[-1]), np.full(7, REST), 0.0)
-        if from_rest:
-            for name, array in (("velocity", v), ("acceleration", a)):
+            if from_rest:
                 _require(f"{name} at the first start", np.abs(array[0]), np.full(7, REST), 0.0)
         if previous is None:
             return
-        parts = zip(
-            ("position", "velocity", "acceleration"),
-            (q, v, a),
-            previous,
-            SPLICE_TOLERANCE,
-            strict=True,
-        )
+        names = ("position", "velocity", "acceleration")
+        parts = zip(names, (q, v, a), previous, SPLICE_TOLERANCE, strict=True)
         for name, array, expected, tolerance in parts:
             jump = np.abs(array[0] - expected)
             if not np.isfinite(jump).all():
@@ -251,12 +239,10 @@ class ChunkChecker:
             )
         dv, da = np.diff(v, axis=0) / h, np.diff(a, axis=0) / h
         dq = np.diff(q, axis=0) / h
-        velocity = np.maximum(_peak(v), _peak(dq))
-        acceleration = np.maximum(np.maximum(_peak(a), _peak(dv)), _peak(np.diff(dq, axis=0) / h))
-        jerk = np.maximum(
-            np.maximum(_peak(da), _peak(np.diff(dv, axis=0) / h)),
-            _peak(np.diff(dq, n=2, axis=0) / (h * h)),
-        )
+        ddv, ddq = np.diff(dv, axis=0) / h, np.diff(dq, axis=0) / h
+        velocity = _peak(v, dq)
+        acceleration = _peak(a, dv, ddq)
+        jerk = _peak(da, ddv, np.diff(ddq, axis=0) / h)
         _require("joint velocity", velocity, limits.velocity)
         _require("joint acceleration", acceleration, limits.acceleration)
         _require("joint jerk", jerk, limits.jerk)
@@ -292,18 +278,17 @@ class ChunkChecker:
             outside = np.maximum(low - position, position - high)
             worst = float(outside.max())
             if worst > self._tolerance:
-                axis = "xyz"[int(np.argmax(outside.max(axis=0)))]
-                raise LimitViolationError(
-                    "distance outside the workspace, m", worst, self._tolerance, f"axis {axis}"
-                )
+                axis = f"axis {'xyz'[int(np.argmax(outside.max(axis=0)))]}"
+                limit = "distance outside the workspace, m"
+                raise LimitViolationError(limit, worst, self._tolerance, axis)
             offset = np.abs(position - (low + high) / 2.0) / ((high - low) / 2.0)
             use = LimitUsage(tcp_speed=use.tcp_speed, workspace=float(offset.max()))
         return usage.merged(use)
 
 
-def _peak(array: Array) -> Array:
-    """Largest absolute value per joint; zero without rows. Shape (n, 7) -> (7,)."""
-    peak: Array = np.abs(array).max(axis=0, initial=0.0)
+def _peak(*arrays: Array) -> Array:
+    """Largest absolute value per joint over arrays (n, 7); zero without rows. Shape (7,)."""
+    peak: Array = np.max([np.abs(array).max(axis=0, initial=0.0) for array in arrays], axis=0)
     return peak
 
 
@@ -312,6 +297,5 @@ def _require(limit: str, value: Array, bound: Array, rounding: float = ROUNDING)
     excess = value - bound * (1.0 + rounding)
     if (excess > 0.0).any():
         worst = int(np.argmax(value / bound))
-        raise LimitViolationError(
-            limit, float(value[worst]), float(bound[worst]), f"joint index {worst}"
-        )
+        joint = f"joint index {worst}"
+        raise LimitViolationError(limit, float(value[worst]), float(bound[worst]), joint)

@@ -92,9 +92,11 @@ def test_every_bound_is_sharp(checker: ChunkChecker, joint: int, sign: float, bo
 @pytest.mark.parametrize("joint", range(7))
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_position_bounds_are_sharp(checker: ChunkChecker, joint: int, sign: float) -> None:
-    usage = checker.check(*joint_motion(joint, sign * (HALF[joint] - 1e-4)))
-    assert usage.position == pytest.approx(1.0, abs=1e-3)
-    error = refused(checker, joint_motion(joint, sign * (HALF[joint] + 1e-4)))
+    # Between two samples the position may exceed them by A h^2 / 8.
+    between = LAB.acceleration[joint] * GRID_DT**2 / 8
+    usage = checker.check(*joint_motion(joint, sign * (HALF[joint] - 1.1 * between)))
+    assert usage.position == pytest.approx(1.0, abs=1e-5)
+    error = refused(checker, joint_motion(joint, sign * (HALF[joint] - 0.9 * between)))
     assert error.limit == "joint position"
     expected = (LAB.position_upper if sign > 0 else LAB.position_lower)[joint]
     assert error.bound == expected
@@ -139,6 +141,54 @@ def test_hidden_position_jump_is_refused(checker: ChunkChecker) -> None:
     q = np.tile(MIDDLE, (20, 1))
     q[10:, 2] += 0.001
     refused(checker, (q, np.zeros_like(q), np.zeros_like(q)))
+
+
+def two_samples(dq: float, v0: float, a0: float) -> Chunk:
+    """Joint 3 from (v0, a0) to rest within one grid step; in units of J h^3, J h^2 and J h."""
+    unit = LAB.jerk[3] * GRID_DT
+    q, v, a = (part.copy() for part in still(2))
+    q[1, 3] += dq * unit * GRID_DT**2
+    v[0, 3], a[0, 3] = v0 * unit * GRID_DT, a0 * unit
+    return q, v, a
+
+
+def still(n: int) -> Chunk:
+    rows = np.tile(MIDDLE, (n, 1))
+    return rows, np.zeros_like(rows), np.zeros_like(rows)
+
+
+@pytest.mark.parametrize(
+    ("dq", "v0", "a0", "broken"),
+    [
+        # |v1 - v0 - a0 h| / J h^2 is 0.49, then 0.51; backwards it is below 0.5.
+        (-0.1, 0.3, -0.79, None),
+        (-0.1, 0.3, -0.81, "velocity against acceleration"),
+        # Backwards 0.49, then 0.51.
+        (0.16, 0.49, -0.5, None),
+        (0.16, 0.51, -0.5, "velocity against acceleration"),
+        # |q1 - q0 - v0 h - a0 h^2 / 2| / J h^3 is 0.16, then 0.17; backwards below 1/6.
+        (-0.11, 0.3, -0.5, None),
+        (-0.12, 0.3, -0.5, "position against velocity"),
+        # Backwards 0.16, then 0.17.
+        (0.16, 0.3, -0.5, None),
+        (0.17, 0.3, -0.5, "position against velocity"),
+    ],
+)
+def test_samples_must_fit_each_other(
+    checker: ChunkChecker, dq: float, v0: float, a0: float, broken: str | None
+) -> None:
+    chunk = two_samples(dq, v0, a0)
+    previous = tuple(part[0] for part in chunk)
+    if broken is None:
+        checker.check(*chunk, previous)  # type: ignore[arg-type]
+    else:
+        assert refused(checker, chunk, previous=previous).limit == broken
+
+
+def test_derivatives_cannot_be_left_out(checker: ChunkChecker, chunk: Chunk) -> None:
+    q, v, _ = chunk
+    assert refused(checker, (q, v, 0 * q)).limit == "velocity against acceleration"
+    assert refused(checker, (q, 0 * q, 0 * q)).limit == "position against velocity"
 
 
 def test_shapes(checker: ChunkChecker, chunk: Chunk) -> None:
@@ -199,12 +249,17 @@ def test_limits_hold_across_the_splice(checker: ChunkChecker, chunk: Chunk) -> N
     refused(checker, later, before=broken)  # type: ignore[arg-type]
 
 
-def box_around(position: Array, half: float) -> Workspace:
+BASE = np.array([-0.4, 0.1, 0.2])
+
+
+def box_around(position_b: Array, half: float) -> Workspace:
+    """A cube around a position of the robot base frame, in a world where the base is at BASE."""
+    position = position_b + BASE
     return Workspace(
         low=tuple((position - half).tolist()),
         high=tuple((position + half).tolist()),
         start=tuple(position.tolist()),
-        base_position=(0.0, 0.0, 0.0),
+        base_position=tuple(BASE.tolist()),
         hand_quaternion_wxyz=(1.0, 0.0, 0.0, 0.0),
         max_lead=0.03,
         start_configuration=tuple(MIDDLE.tolist()),
@@ -237,7 +292,12 @@ def test_workspace_box_with_tolerance() -> None:
     travelled = np.abs(forward(chunk[0])[0] - forward(start)[0]).max()
     position = forward(start)[0]
     inside = ChunkChecker(LAB, box_around(position, travelled - 0.0049), forward)
-    assert inside.check(*chunk).workspace > 1.0
+    expected = travelled / (travelled - 0.0049)
+    assert inside.check(*chunk).workspace == pytest.approx(expected, rel=1e-9)
+    # A box that lies to one side: the fraction counts from its own middle.
+    beside = ChunkChecker(LAB, box_around(position + 0.01, 0.05), forward)
+    away = np.abs(forward(chunk[0])[0] - position - 0.01).max()
+    assert beside.check(*chunk).workspace == pytest.approx(away / 0.05, rel=1e-9)
     outside = ChunkChecker(LAB, box_around(position, travelled - 0.0051), forward)
     assert "workspace" in refused(outside, chunk).limit
 
