@@ -181,7 +181,7 @@ def _log_robot(recording: Any, name: str, motion: Motion, fingers: Series, *, gh
     )
     for index, joint in enumerate(yumi.joint_names("right")):
         _log_joint(recording, name, tree, joint, motion.time_s, motion.q[:, index])
-    if len(fingers.time_s):
+    if fingers.names:
         for joint in yumi.finger_names("right"):
             _log_joint(recording, name, tree, joint, fingers.time_s, fingers.values[:, 0])
 
