@@ -15,11 +15,14 @@ HINGE_Y, HINGE_Z = -0.005, 0.075
 BAR_RADIUS = 0.1406
 BAR_ANGLE = 0.2959
 """The handle's bar from the hinge: distance, m, and elevation with the lid shut, rad."""
+OPEN_ANGLE = 1.97
+"""How far the lid is pushed open, rad: the handle is then low enough for the hand to pass over
+and near enough for the hand to get behind it."""
 TIP = 0.1357
 """Fingertips below the hand frame, m."""
 MIDDLE_X = -0.009
 """Middle of the handle, world, m."""
-GAIN = 0.55
+GAIN = 0.45
 """Part of the remaining distance commanded per step."""
 TOLERANCE = 0.004
 """A way point is reached within this distance, m."""
@@ -48,7 +51,6 @@ class ScriptedOpenPressClose:
     def reset(self) -> None:
         """Begin with the first phase."""
         self.phase = self.PHASES[0]
-        self._pressed_steps = 0
 
     def act(self, observation: Array) -> Array:
         """Action for one observation. Shape (observation_dim,) -> (action_dim,)."""
@@ -72,9 +74,9 @@ class ScriptedOpenPressClose:
             done = {
                 "centre": abs(y + 0.1345) < TOLERANCE,
                 "lower": z < 0.2285,
-                "hook": y < -0.1435,
-                "lift": lid > 1.15,
-                "push_open": lid > 2.0,
+                "hook": y < -0.1445,
+                "lift": lid > 0.8,
+                "push_open": lid > OPEN_ANGLE - 0.05,
                 "release": z > 0.340,
                 "return": y < -0.070,
                 "press": depth > 0.0125,
@@ -101,12 +103,14 @@ class ScriptedOpenPressClose:
                 goal = (-0.150, 0.224)
             case "lift":
                 # The hook's top, 10 mm above the tips, stays under the bar on its arc.
+                # At first straight up, or it would slip out before it carries.
                 ahead = bar_position(lid + 0.22)
-                goal = (ahead[0] - 0.007, ahead[1] + TIP - 0.010 - 0.004)
+                goal_y = ahead[0] - 0.007 if lid > 0.12 else bar_position(lid)[0] - 0.006
+                goal = (goal_y, ahead[1] + TIP - 0.014)
             case "push_open":
                 # The other finger pushes the bar from behind, so the hook is free at the end.
-                ahead = bar_position(lid + 0.22)
-                goal = (ahead[0] + 0.010, bar_position(lid)[1] + TIP - 0.022)
+                ahead = bar_position(min(lid + 0.18, OPEN_ANGLE))
+                goal = (ahead[0] + 0.012, bar_position(lid)[1] + TIP - 0.022)
             case "release":
                 goal = (y, 0.360)
             case "return":
@@ -127,9 +131,7 @@ class ScriptedOpenPressClose:
             case "press_shut":
                 # Slower the less the lid is open: it shall not be slammed.
                 goal = (-0.085, z - 0.008 - 0.025 * min(lid, 0.6))
-            case "rest":
-                # Lets go of the lid, which the hook must not catch: the fingers are over the plate.
-                goal = (-0.085, 0.225)
             case _:
-                goal = (y, z)
+                # Takes the weight off the lid, but stays so low that the hook cannot catch the bar.
+                goal = (y, 0.220)
         return np.array([MIDDLE_X, *goal])

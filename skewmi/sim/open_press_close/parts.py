@@ -79,11 +79,11 @@ _STIFF_FRICTION = {
     "solref_friction": (0.01, 1.0),
     "solimp_friction": (0.9999, 0.9999, 0.001, 0.5, 2.0),
 }
-# Two time steps is the stiffest stop that stays stable.
-_STIFF_LIMIT = {
+STIFF_LIMIT = {
     "solref_limit": (0.008, 1.0),
     "solimp_limit": (0.99, 0.9999, 0.001, 0.5, 2.0),
 }
+"""A joint's stop as stiff as it can be: two time steps is where it is still stable."""
 
 _WOOD = (0.80, 0.68, 0.50, 1.0)
 _DARK = (0.30, 0.32, 0.35, 1.0)
@@ -141,7 +141,7 @@ def add_parts(spec: mujoco.MjSpec) -> None:
         damping=[LID_DAMPING, 0.0, 0.0],
         armature=2e-4,
         **_STIFF_FRICTION,
-        **_STIFF_LIMIT,
+        **STIFF_LIMIT,
     )
     _add_box(lid, "lid_plate", _LID_PLATE, _LID_BLUE, origin=LID_HINGE, mass=LID_PLATE_MASS)
     for name, corners in _HANDLE.items():
@@ -159,7 +159,7 @@ def add_parts(spec: mujoco.MjSpec) -> None:
         frictionloss=BUTTON_FRICTIONLOSS,
         damping=[BUTTON_DAMPING, 0.0, 0.0],
         **_STIFF_FRICTION,
-        **_STIFF_LIMIT,
+        **STIFF_LIMIT,
     )
     _add_box(
         button, "button_plate", _BUTTON, _BUTTON_YELLOW, origin=button_centre, mass=BUTTON_MASS

@@ -9,15 +9,18 @@ from skewmi.policy_io import Array, PolicyLayout
 from skewmi.robot_models import yumi
 
 STOP_MARGIN = 0.003
-"""How far soft stops give way: of lid, button and fingers, rad or m, and the lid's surface, m."""
+"""How far soft stops of button and fingers and the lid's surface give way, m."""
+LID_MARGIN = 0.02
+"""How far the lid's stops give way when something slams into it, rad."""
 HAND_MARGIN = 0.015
 """How far contact may push the hand out of its box, m: as far as the command may lead it."""
 
 _TIP = yumi.GRIPPER.finger_origin_z + yumi.GRIPPER.finger_size[2]
 """Distance from the flange to the fingertips, m."""
 _LID_TOP = 0.076
-_LID_EDGE = -0.010
-"""Height of the shut lid and where it ends at the hinge, world, m."""
+_LID_EDGE = -0.020
+"""Height of the shut lid and 10 mm inside where it ends at the hinge (the hand may tilt), world,
+m."""
 _LID_NEARLY_SHUT = 0.2
 """Below this angle no finger gets under the lid, rad: its edge is less than 30 mm up."""
 
@@ -39,8 +42,9 @@ def reachable(layout: PolicyLayout, state: Array) -> NDArray[np.bool_]:
     names = layout.observation_names
     value = {name: state[..., i] for i, name in enumerate(names[: layout.state_dim])}
     possible = np.ones(state.shape[:-1], dtype=np.bool_)
+    margins = {"lid_angle": LID_MARGIN, "gripper": STOP_MARGIN, "button_depth": STOP_MARGIN}
     for field in layout.state_fields:
-        margin = HAND_MARGIN if field.name.startswith("hand_") else STOP_MARGIN
+        margin = margins.get(field.name, HAND_MARGIN)
         possible &= value[field.name] >= field.low - margin
         possible &= value[field.name] <= field.high + margin
     tip = value["hand_z"] - _TIP

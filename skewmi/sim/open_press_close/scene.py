@@ -58,6 +58,11 @@ def build_spec(servo_parameters: servo.ServoParameters = SERVO) -> mujoco.MjSpec
     spec.visual.headlight.ambient = (0.25, 0.25, 0.25)
     spec.visual.headlight.diffuse = (0.25, 0.25, 0.25)
 
+    for name in yumi.finger_names("right"):
+        # The handle pulls on the hook with more than the grip force: with a soft stop the light
+        # fingers would then open 4 mm further than they can.
+        spec.joint(name).solref_limit = parts.STIFF_LIMIT["solref_limit"]
+        spec.joint(name).solimp_limit = parts.STIFF_LIMIT["solimp_limit"]
     parts.add_parts(spec)
     for name, body in ((HAND_FORCE_SENSOR, "yumi_link_7_r"), (ARM_FORCE_SENSOR, "yumi_link_1_r")):
         spec.add_sensor(

@@ -237,6 +237,14 @@ class OpenPressCloseBatch:
             ),
         )
 
+    def command(self) -> tuple[Array, Array]:
+        """What the arm is commanded to at the end of the last step.
+
+        Returns:
+            Hand position, world, m, shape (num_envs, 3); joints, rad, shape (num_envs, 7).
+        """
+        return self._command_position_w.copy(), self._command_q.copy()
+
     def random_state(self) -> dict[str, object]:
         """JSON-serialisable state of the random stream."""
         return {"generator": self._rng.bit_generator.state}

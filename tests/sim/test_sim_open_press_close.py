@@ -1,0 +1,281 @@
+"""Physics and command path of OpenPressClose."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from skewmi.errors import ConfigurationError
+from skewmi.policy_io import inside_region
+from skewmi.robot_models import frames, kinematics
+from skewmi.sim.open_press_close import definition, parts
+from skewmi.sim.open_press_close.randomization import Randomization
+from skewmi.sim.open_press_close.reach import HAND_MARGIN, reachable
+from skewmi.sim.open_press_close.scene import OpenPressCloseScene, workspace_of
+from skewmi.sim.open_press_close.task import OpenPressCloseBatch
+
+LAYOUT = definition.make_layout()
+WORKSPACE = workspace_of(LAYOUT)
+
+
+@pytest.fixture(scope="module")
+def scene() -> OpenPressCloseScene:
+    return OpenPressCloseScene()
+
+
+@pytest.fixture
+def data(scene: OpenPressCloseScene) -> mujoco.MjData:
+    data = mujoco.MjData(scene.model)
+    scene.reset(data)
+    return data
+
+
+def run(scene: OpenPressCloseScene, data: mujoco.MjData, seconds: float) -> None:
+    mujoco.mj_step(scene.model, data, round(seconds / definition.SIM_DT))
+
+
+# The scene
+
+
+def test_the_time_grid_is_the_robots() -> None:
+    np.testing.assert_allclose(definition.SUBSTEPS * definition.SIM_DT, LAYOUT.control_dt)
+    assert OpenPressCloseScene().model.opt.timestep == definition.SIM_DT
+    assert OpenPressCloseScene().model.opt.gravity[2] == -9.81
+
+
+def test_the_handle_is_where_the_published_scene_has_it(scene, data) -> None:
+    bar = data.geom("handle_bar").xpos
+    np.testing.assert_allclose(bar, parts.HANDLE_BAR_CENTRE, atol=1e-9)
+    hinge = np.array(parts.LID_HINGE)
+    assert np.hypot(*(bar - hinge)[1:]) == pytest.approx(0.1406, abs=1e-4)
+    # Bar on its arc at pi/2, from the published scene: y 0.036, z 0.209.
+    data.qpos[scene.lid_qpos] = np.pi / 2
+    mujoco.mj_kinematics(scene.model, data)
+    np.testing.assert_allclose(data.geom("handle_bar").xpos[1:], (0.036, 0.209), atol=1e-3)
+
+
+def test_nothing_touches_at_the_start(scene, data) -> None:
+    assert data.ncon == 0
+    run(scene, data, 1.0)
+    assert data.ncon == 0
+
+
+def test_the_start_is_at_rest(scene, data) -> None:
+    before = data.qpos.copy()
+    run(scene, data, 2.0)
+    np.testing.assert_allclose(data.qpos, before, atol=1e-4)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.05, 0.5, 1.2, np.pi / 2, 2.2, 2.5])
+def test_the_lid_stays_where_it_is_left(scene, data, angle: float) -> None:
+    # The hand out of the lid's way.
+    data.qpos[:] = scene.start_positions(LAYOUT, np.array([[-0.009, 0.0, 0.355]]))[0]
+    if angle > 1.0:
+        data.qpos[:] = scene.start_positions(LAYOUT, np.array([[-0.009, -0.15, 0.355]]))[0]
+    data.ctrl[:] = scene.controls(data.qpos[scene.arm_qpos], WORKSPACE.gripper_opening)
+    data.qpos[scene.lid_qpos] = angle
+    run(scene, data, 10.0)
+    assert data.ncon == 0
+    assert data.qpos[scene.lid_qpos] == pytest.approx(angle, abs=2e-3)
+
+
+@pytest.mark.parametrize("load", [0.0, 1.0, 2.9])
+def test_the_button_stays_where_it_is_pushed(scene, data, load: float) -> None:
+    data.qpos[scene.button_qpos] = 0.012
+    dof = scene.model.joint("button_slide").dofadr[0]
+    data.qfrc_applied[dof] = load
+    run(scene, data, 10.0)
+    # Less than the slide's dry friction: 10 s may creep by a third of a millimetre.
+    assert data.qpos[scene.button_qpos] == pytest.approx(0.012, abs=3.5e-4)
+
+
+def test_the_button_gives_way_to_more_than_its_friction_and_stops_at_its_travel(
+    scene, data
+) -> None:
+    data.qfrc_applied[scene.model.joint("button_slide").dofadr[0]] = 60.0
+    run(scene, data, 1.0)
+    assert data.qpos[scene.button_qpos] == pytest.approx(parts.BUTTON_TRAVEL, abs=1e-3)
+    assert inside_region(LAYOUT, np.array([0, 0, 0, 0, 0, data.qpos[scene.button_qpos]]))
+
+
+@pytest.mark.parametrize("torque", [-1.0, -5.0, -10.0])
+def test_the_shut_lid_does_not_go_negative(scene, data, torque: float) -> None:
+    data.qfrc_applied[scene.model.joint("lid_hinge").dofadr[0]] = torque
+    run(scene, data, 1.0)
+    assert data.qpos[scene.lid_qpos] > -2e-3
+
+
+def test_the_measured_hand_is_mujocos_flange(scene, data) -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        data.qpos[scene.arm_qpos] += rng.uniform(-0.2, 0.2, 7)
+        mujoco.mj_kinematics(scene.model, data)
+        position_w, rotation = scene.hand_pose(data.qpos)
+        np.testing.assert_allclose(position_w, data.site("tool0_r").xpos, atol=1e-9)
+        np.testing.assert_allclose(rotation, data.site("tool0_r").xmat.reshape(3, 3), atol=1e-9)
+
+
+def test_one_data_reset_varies_only_with_a_generator(scene, data) -> None:
+    nominal = scene.read(data)
+    np.testing.assert_allclose(
+        [nominal["hand_x"], nominal["hand_y"], nominal["hand_z"]], WORKSPACE.start, atol=1e-6
+    )
+    scene.reset(data, np.random.default_rng(1))
+    first = scene.read(data)
+    scene.reset(data, np.random.default_rng(1))
+    assert scene.read(data) == first
+    scene.reset(data, np.random.default_rng(2))
+    assert scene.read(data) != first
+
+
+# The command path
+
+
+@pytest.fixture(scope="module")
+def shaken() -> dict[str, np.ndarray]:
+    """Every environment under its own slowly varying random actions, through contact."""
+    env = OpenPressCloseBatch(16, num_threads=1, seed=3)
+    rng = np.random.default_rng(3)
+    record: dict[str, list[np.ndarray]] = {
+        name: [] for name in ("state", "speed", "command", "command_q", "tilt", "force")
+    }
+    env.reset()
+    action = np.zeros((16, 3))
+    for _ in range(LAYOUT.episode_steps):
+        action = 0.85 * action + 0.5 * rng.standard_normal((16, 3))
+        result = env.step(np.clip(action, -1.0, 1.0))
+        diagnostics = env.diagnostics()
+        command, command_q = env.command()
+        record["state"].append(result.observation)
+        record["speed"].append(np.abs(env.batch.bind("qvel")).max(axis=1))
+        record["command"].append(command)
+        record["command_q"].append(command_q)
+        record["tilt"].append(diagnostics.hand_tilt)
+        record["force"].append(diagnostics.hand_force_mean)
+    return {name: np.array(values) for name, values in record.items()}
+
+
+def test_random_actions_meet_contact(shaken) -> None:
+    assert (shaken["force"] > 10.0).mean() > 0.02
+
+
+def test_the_command_never_leaves_the_box(shaken) -> None:
+    assert np.all(shaken["command"] >= np.array(WORKSPACE.low) - 1e-12)
+    assert np.all(shaken["command"] <= np.array(WORKSPACE.high) + 1e-12)
+
+
+def test_inverse_kinematics_is_exact_on_the_commanded_path(shaken) -> None:
+    position, rotation = kinematics.ArmKinematics("right").forward(shaken["command_q"])
+    error = np.linalg.norm(position + frames.BASE_IN_WORLD - shaken["command"], axis=-1)
+    assert error.max() < 1e-4
+    cosine = np.einsum("...ij,ij->...", rotation, frames.HAND_DOWN) / 2 - 0.5
+    assert np.degrees(np.arccos(np.clip(cosine.min(), -1, 1))) < 0.05
+
+
+def test_random_actions_stay_physical(shaken) -> None:
+    assert np.isfinite(shaken["state"]).all()
+    # The rating of the fastest joint is 7 rad/s; the lid, hit by a finger, is faster.
+    assert shaken["speed"].max() < 30.0
+    lid, button = shaken["state"][..., 4], shaken["state"][..., 5]
+    assert lid.min() > -1e-2
+    assert lid.max() < parts.LID_MAX + 0.02
+    assert button.min() > -1e-3
+    assert button.max() < parts.BUTTON_TRAVEL + 1e-3
+
+
+def test_contact_pushes_the_hand_out_of_its_box_by_less_than_the_lead(shaken) -> None:
+    hand = shaken["state"][..., :3]
+    outside = np.maximum(np.array(WORKSPACE.low) - hand, hand - np.array(WORKSPACE.high))
+    assert outside.max() < HAND_MARGIN
+    # Without contact it stays inside.
+    free = shaken["force"] < 1.0
+    assert np.quantile(outside.max(axis=-1)[free], 0.99) < 0.003
+
+
+def test_contact_hardly_tilts_the_hand(shaken) -> None:
+    tilt = np.degrees(shaken["tilt"])
+    assert np.quantile(tilt, 0.99) < 4.0
+    assert tilt.max() < 8.0
+
+
+def test_states_under_random_actions_count_as_reachable(shaken) -> None:
+    assert reachable(LAYOUT, shaken["state"]).all()
+
+
+def test_fingertips_below_a_shut_lid_are_not_reachable() -> None:
+    state = np.array([-0.009, -0.08, 0.195, 0.014, 0.0, 0.0])
+    assert not reachable(LAYOUT, state)
+    assert reachable(LAYOUT, state + np.array([0, 0, 0, 0, 2.0, 0.015]))
+    assert reachable(LAYOUT, state + np.array([0, 0, 0.03, 0, 0, 0.015]))
+
+
+def test_a_free_hand_follows_its_command_without_lag() -> None:
+    env = OpenPressCloseBatch(1, num_threads=1, randomization=Randomization((0.0, 0.0, 0.0)))
+    env.reset()
+    for _ in range(5):
+        env.step(np.array([[0.0, 0.0, 1.0]]))
+    assert env.diagnostics().hand_to_command[0] < 1.5e-3
+    assert env.diagnostics().hand_force_peak[0] == 0.0
+
+
+def test_a_blocked_hand_stops_leading_and_its_force_is_bounded() -> None:
+    env = OpenPressCloseBatch(1, num_threads=1, randomization=Randomization((0.0, 0.0, 0.0)))
+    env.reset()
+    for _ in range(5):
+        env.step(np.array([[0.0, 1.0, 0.0]]))
+    forces, leads = [], []
+    for _ in range(40):
+        env.step(np.array([[0.0, 0.0, -1.0]]))
+        forces.append(env.diagnostics().hand_force_mean[0])
+        leads.append(env.diagnostics().hand_to_command[0])
+    assert 10.0 < forces[-1] < 100.0
+    assert forces[-1] < forces[-10] + 2.0
+    # The lead is bounded where a step begins; contact moves the hand while it runs.
+    assert leads[-1] < WORKSPACE.max_lead + 5e-3
+
+
+def test_the_gripper_action_moves_the_fingers_at_their_speed() -> None:
+    env = OpenPressCloseBatch(2, num_threads=1, gripper_action=True)
+    opening = env.reset()[:, 3]
+    np.testing.assert_allclose(opening, definition.GRIPPER_OPENING, atol=1e-9)
+    action = np.array([[0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 0.0, -1.0]])
+    for _ in range(3):
+        result = env.step(action)
+    moved = result.observation[:, 3] - opening
+    np.testing.assert_allclose(moved, [0.0075, -0.0075], atol=1.5e-3)
+
+
+def test_without_randomization_all_starts_are_the_layouts() -> None:
+    env = OpenPressCloseBatch(3, num_threads=1, randomization=Randomization((0.0, 0.0, 0.0)))
+    observation = env.reset()
+    np.testing.assert_allclose(observation[:, :3], np.tile(WORKSPACE.start, (3, 1)), atol=1e-6)
+
+
+def test_starts_vary_within_the_offset() -> None:
+    env = OpenPressCloseBatch(64, num_threads=1)
+    offset = env.reset(5)[:, :3] - np.array(WORKSPACE.start)
+    assert np.abs(offset).max() <= 0.005 + 1e-6
+    assert np.all(np.abs(offset).max(axis=0) > 0.004)
+
+
+@pytest.mark.parametrize("offset", [(-0.001, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.0)])
+def test_impossible_start_offsets_are_refused(offset) -> None:
+    with pytest.raises(ConfigurationError, match="start_offset"):
+        Randomization(offset)
+
+
+@pytest.mark.parametrize(
+    ("lid", "button", "inside"),
+    [
+        (0.0, 0.02, True),
+        (0.0, 0.0101, True),
+        (0.0, 0.0099, False),
+        (0.034, 0.02, True),
+        (0.036, 0.02, False),
+        (2.0, 0.02, False),
+        (0.0, 0.0, False),
+    ],
+)
+def test_the_reward_region_is_shut_and_pressed(lid: float, button: float, inside: bool) -> None:
+    assert inside_region(LAYOUT, np.array([0.0, 0.0, 0.27, 0.014, lid, button])) == inside

@@ -1,0 +1,106 @@
+"""A scripted motion solves OpenPressClose through actions and observations alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scripted_open_press_close import ScriptedOpenPressClose
+
+from skewmi.policy_io import first_success_step
+from skewmi.sim.open_press_close.task import OpenPressCloseBatch
+
+NUM_ENVS = 6
+
+
+class Run:
+    """One episode of the script in every environment, and what it did to the scene."""
+
+    def __init__(self, seed: int, *, delay_steps: int = 0, noise: float = 0.0, **options) -> None:
+        env = OpenPressCloseBatch(NUM_ENVS, num_threads=1, seed=seed, **options)
+        scripts = [ScriptedOpenPressClose(env.layout) for _ in range(NUM_ENVS)]
+        rng = np.random.default_rng(seed)
+        observation = env.reset()
+        self.starts = observation[:, :3]
+        pending = [np.zeros((NUM_ENVS, env.layout.action_dim))] * delay_steps
+        inside, self.states, self.diagnostics = [], [], []
+        truncated = False
+        while not truncated:
+            seen = observation.copy()
+            seen[:, :3] += noise * rng.standard_normal((NUM_ENVS, 3))
+            pending.append(
+                np.array([script.act(x) for script, x in zip(scripts, seen, strict=True)])
+            )
+            result = env.step(pending.pop(0))
+            observation, truncated = result.observation, result.truncated
+            inside.append(result.success)
+            self.states.append(observation)
+            self.diagnostics.append(env.diagnostics())
+        self.states = np.array(self.states)
+        self.layout = env.layout
+        self.success_step = first_success_step(env.layout, np.array(inside))
+
+    def figure(self, name: str) -> np.ndarray:
+        return np.array([getattr(d, name) for d in self.diagnostics])
+
+
+@pytest.fixture(scope="module", params=[0, 1])
+def nominal(request: pytest.FixtureRequest) -> Run:
+    return Run(request.param)
+
+
+def test_every_start_succeeds_with_time_to_spare(nominal: Run) -> None:
+    assert len(np.unique(nominal.starts, axis=0)) == NUM_ENVS
+    assert np.all(nominal.success_step > 0), nominal.success_step
+    assert nominal.success_step.max() <= 140
+
+
+def test_the_lid_is_opened_before_the_button_is_pressed_and_shut_afterwards(nominal: Run) -> None:
+    lid, button = nominal.states[..., 4], nominal.states[..., 5]
+    for i in range(NUM_ENVS):
+        first_pressed = int(np.argmax(button[:, i] > 0.010))
+        assert lid[:first_pressed, i].max() > 1.5
+        assert lid[first_pressed, i] > 1.5
+        assert lid[-1, i] < 0.035
+        assert button[-1, i] > 0.010
+
+
+def test_forces_are_those_of_a_collaborative_robot(nominal: Run) -> None:
+    assert nominal.figure("hand_force_peak").max() <= 100.0
+    assert nominal.figure("hand_force_mean").max() <= 40.0
+    assert nominal.figure("arm_force_peak").max() == 0.0
+    # The script has to touch things, so a sensor that is dead would show.
+    assert nominal.figure("hand_force_peak").max() > 2.0
+
+
+def test_the_hand_stays_upright_in_its_box_and_near_its_command(nominal: Run) -> None:
+    assert np.degrees(nominal.figure("hand_tilt").max()) <= 2.0
+    assert nominal.figure("hand_to_command").max() <= nominal.layout.workspace.max_lead + 1e-3
+    hand = nominal.states[..., :3]
+    assert np.all(hand >= np.array(nominal.layout.workspace.low) - 0.003)
+    assert np.all(hand <= np.array(nominal.layout.workspace.high) + 0.003)
+
+
+def test_nothing_jumps_so_nothing_was_edited(nominal: Run) -> None:
+    steps = np.abs(np.diff(nominal.states, axis=0)).max(axis=(0, 1))
+    assert np.all(steps[:3] < 0.025)
+    assert steps[4] < 0.35
+    assert steps[5] < 0.015
+
+
+def test_the_button_never_comes_back_up(nominal: Run) -> None:
+    assert np.diff(nominal.states[..., 5], axis=0).min() > -1e-4
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"delay_steps": 1},
+        {"noise": 5e-4},
+        {"gripper_action": True, "time_input": True},
+    ],
+    ids=["late by 100 ms", "hand measured with 0.5 mm noise", "other layout"],
+)
+def test_the_script_survives_what_a_real_chain_adds(options: dict) -> None:
+    run = Run(7, **options)
+    assert np.all(run.success_step > 0), run.success_step
+    assert run.figure("hand_force_peak").max() <= 100.0
