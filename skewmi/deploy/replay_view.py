@@ -42,6 +42,7 @@ _JOINT_COLOURS = (
     (190, 100, 220, 255),
 )
 _JOINT_LABELS = tuple(f"joint {number}" for number in (1, 2, 7, 3, 4, 5, 6))
+_PULSE_S = 0.3
 _QUANTITIES = ("position", "velocity", "acceleration", "jerk")
 _LEVELS = {0: "INFO", 1: "WARN", 2: "ERROR"}
 
@@ -352,15 +353,14 @@ def _log_policy(recording: Any, run: Run) -> None:
             in_range = (in_range - low) / (high - low)
         path = "/policy/observation_in_range"
         _log_curves(recording, f"{path}/fields", observation.time_s, in_range, names, colours)
-        for number, time_s in enumerate(run.success_s):
-            # A vertical line, and a gap so that it is not joined to the next one.
+        if run.success_s:
+            # A pulse at each success; a single instant would vanish between two pixels.
+            edges = np.array(
+                [(t - 1e-3, t, t + _PULSE_S, t + _PULSE_S + 1e-3) for t in run.success_s]
+            )
+            heights = np.tile([[0.0], [1.0], [1.0], [0.0]], (len(edges), 1))
             _log_curves(
-                recording,
-                f"{path}/success_{number}",
-                np.array([time_s, time_s]),
-                np.array([[0.0], [1.0]]),
-                ("success",),
-                (_BOX,),
+                recording, f"{path}/success", edges.ravel(), heights, ("success",), (_BOX[:3],)
             )
     if action.names:
         colours = tuple(_JOINT_COLOURS[i % 7] for i in range(len(action.names)))
