@@ -106,6 +106,7 @@ class Daemon:
             yumi.finger_names("right")[0],
             lock_step=options.lock_step,
             state_period_s=description.state_period_ns / 1e9,
+            on_repeat=self._on_repeat,
         )
         self._times = CycleTimes()
         self._boxed = False
@@ -276,6 +277,12 @@ class Daemon:
         if self._stop.is_set():
             raise StopRequestedError("interrupted")
         self._robot.check(late_is_final=self._options.lock_step)
+
+    def _on_repeat(self) -> None:
+        if self._machine.state in (DaemonState.TO_START, DaemonState.RUNNING):
+            if self._stop.is_set():
+                raise StopRequestedError("interrupted")
+            self._robot.check(late_is_final=True)
 
     def _resync(self) -> tuple[Array, ArmState]:
         q = self._robot.wait_for_hold()

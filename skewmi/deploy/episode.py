@@ -128,14 +128,15 @@ class EpisodeRunner:
         stream = self._stream
         motion = StartMotion(q, q_goal, self._limits)
         stream.begin(q, state.stamp_ns)
-        cycle, late = 0, False
+        cycle, late, rest_ns = 0, False, 1 << 62
         while True:
             assert stream.sent is not None
-            over = late or cycle >= motion.cycles
-            if over and state.stamp_ns >= stream.sent.rest_ns:
+            if cycle >= motion.cycles or late:
+                rest_ns = min(rest_ns, stream.sent.rest_ns)
+            if state.stamp_ns >= rest_ns:
                 return state, stream.sent.chunk.q[-1], not late
             self._times.start(state.received_ns)
-            for splice in () if over else stream.due(state.stamp_ns, state.received_ns):
+            for splice in () if late else stream.due(state.stamp_ns, state.received_ns):
                 # Braking has begun: this motion cannot be taken up again, another one can.
                 if splice != CYCLE_TICKS:
                     late = True

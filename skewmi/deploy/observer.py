@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,6 +63,8 @@ class Observer:
         finger_name: The joint whose position is the gripper's opening.
         lock_step: Take every state in order, however old, instead of the newest.
         state_period_s: How often the endpoint publishes, s.
+        on_repeat: Called when the endpoint repeats a state because in lock-step time stands
+            still: the place to find out why.
     """
 
     def __init__(
@@ -73,7 +76,9 @@ class Observer:
         *,
         lock_step: bool,
         state_period_s: float,
+        on_repeat: Callable[[], None] | None = None,
     ) -> None:
+        self._on_repeat = on_repeat
         self._layout = layout
         self._joint_names = joint_names
         self._finger_name = finger_name
@@ -117,6 +122,8 @@ class Observer:
                 self._arm = state
                 self._take_scene(state.stamp_ns)
                 return state
+            if state is not None and self._on_repeat is not None:
+                self._on_repeat()
             waited_s = (time.monotonic_ns() - since_ns) / 1e9
             if state is None and waited_s > patience_s:
                 raise StaleStateError(

@@ -85,10 +85,11 @@ def assert_within_limits(q: np.ndarray) -> None:
 def test_disarmed_robot_holds_still_and_refuses(robot: EndpointController) -> None:
     motion = motion_from(robot)
     assert not robot.receive(payload(robot, motion, 5), OURS, 1, 0)
-    ((reason, out_of_step),) = robot.take_refusals()
-    assert "disarmed" in reason
-    assert "arm it first" in reason
-    assert not out_of_step
+    (refusal,) = robot.take_refusals()
+    assert "disarmed" in refusal.reason
+    assert "arm it first" in refusal.reason
+    assert not refusal.out_of_step
+    assert refusal.stamp_ns == 5 * GRID_NS
     run(robot, 20)
     assert robot.state is EndpointState.DISARMED
     assert np.ptp([t.q for t in robot._backend.targets], axis=0).max() == 0.0
@@ -146,7 +147,7 @@ def test_second_commander_is_refused_with_the_reason(robot: EndpointController) 
     start_moving(robot)
     motion = motion_from(robot)
     assert not robot.receive(payload(robot, motion, robot.tick_index + 50), OTHER, 1, 0)
-    assert "is not the commander" in robot.take_refusals()[0][0]
+    assert "is not the commander" in robot.take_refusals()[0].reason
     with pytest.raises(CommandRefusedError, match="holds the arm"):
         robot.arm(OTHER, 0)
     assert robot.state is EndpointState.EXECUTING
@@ -177,7 +178,7 @@ def test_older_chunk_does_not_overwrite_a_newer_one(robot: EndpointController) -
     motion = motion_from(robot)
     assert robot.receive(payload(robot, motion, 20), OURS, 1, 0)
     assert not robot.receive(payload(robot, motion, 10), OURS, 2, 0)
-    assert "not after the last accepted one" in robot.take_refusals()[0][0]
+    assert "not after the last accepted one" in robot.take_refusals()[0].reason
 
 
 def test_joint_far_from_its_command_is_a_fault_until_acknowledged(

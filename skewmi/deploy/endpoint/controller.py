@@ -7,6 +7,7 @@ plain values; `server` connects it. Everything is called from one thread, the se
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,6 +36,16 @@ LEASE_NS = 2_000_000_000
 
 TRACKING_LIMIT = 0.35
 """Largest |measured - commanded| of a joint, rad, before the endpoint calls it a fault."""
+
+
+class Refusal(NamedTuple):
+    """A command that was not followed."""
+
+    reason: str
+    out_of_step: bool = False
+    """Whether it came too late or after a lost one, and was otherwise fine."""
+    stamp_ns: int | None = None
+    """Of the refused chunk, if it was one."""
 
 
 class EndpointController:
@@ -69,7 +80,7 @@ class EndpointController:
         """First tick of the newest accepted chunk."""
         self.accepted = 0
         self.refused = 0
-        self.refusals: list[tuple[str, bool]] = []
+        self.refusals: list[Refusal] = []
 
     @property
     def state(self) -> EndpointState:
@@ -99,21 +110,25 @@ class EndpointController:
         Returns:
             Whether it was accepted; if not, `take_refusals` says why.
         """
+        stamp_ns = None
         try:
-            self._accept(decode_chunk(payload), gid, sequence, now_ns)
+            chunk = decode_chunk(payload)
+            stamp_ns = chunk.stamp_ns
+            self._accept(chunk, gid, sequence, now_ns)
         except (CommandRefusedError, TransportError) as error:
-            self.note_refusal(str(error), out_of_step=isinstance(error, BrokenStreamError))
+            out_of_step = isinstance(error, BrokenStreamError)
+            self.note_refusal(Refusal(str(error), out_of_step, stamp_ns))
             return False
         self.accepted += 1
         return True
 
-    def note_refusal(self, reason: str, *, out_of_step: bool = False) -> None:
+    def note_refusal(self, refusal: Refusal) -> None:
         """Count a refused command, for the status."""
         self.refused += 1
-        self.refusals.append((reason, out_of_step))
+        self.refusals.append(refusal)
 
-    def take_refusals(self) -> list[tuple[str, bool]]:
-        """Reasons since the last call, and whether each was only for being out of step."""
+    def take_refusals(self) -> list[Refusal]:
+        """What has been refused since the last call."""
         taken, self.refusals = self.refusals, []
         return taken
 

@@ -22,7 +22,7 @@ from skewmi.deploy.endpoint.base import (
     STATE_PERIOD_TICKS,
     RobotBackend,
 )
-from skewmi.deploy.endpoint.controller import EndpointController
+from skewmi.deploy.endpoint.controller import EndpointController, Refusal
 from skewmi.deploy.endpoint.states import ACCEPTS_COMMANDS, EndpointState
 from skewmi.deploy.messages import (
     ERROR,
@@ -168,7 +168,7 @@ class EndpointServer:
                 opening = float(decode_joint_states(gripper.payload).position[0])
                 self._controller.open_gripper(opening, gripper.gid)
             except (CommandRefusedError, TransportError, IndexError) as error:
-                self._controller.note_refusal(f"gripper: {error}")
+                self._controller.note_refusal(Refusal(f"gripper: {error}"))
         for service in self._services:
             service.poll()
         if self._controller.refused != self._refused_seen:
@@ -217,8 +217,9 @@ class EndpointServer:
             "reason": controller.machine.reason,
             "accepted": str(controller.accepted),
             "refused": str(controller.refused),
-            "refusal": "; ".join(reason for reason, _ in refusals[:_SHOWN_REFUSALS]),
-            "out_of_step": str(all(out_of_step for _, out_of_step in refusals)),
+            "refusal": "; ".join(refusal.reason for refusal in refusals[:_SHOWN_REFUSALS]),
+            "refused_stamps_ns": " ".join(str(refusal.stamp_ns) for refusal in refusals),
+            "out_of_step": str(all(refusal.out_of_step for refusal in refusals)),
             "commander": (controller.lease.holder or b"").hex(),
             "slips": str(self.slips),
         }
