@@ -3,10 +3,11 @@
     python benchmarks/sac.py --json
 
 Both learners get the same network (two hidden layers of 128; the peer and `plain` without
-normalisation), the same batch shape and one thread, and take turns, so that other load on the
-machine hits both alike. `plain` and `layer_norm` are timed on a ready batch. `with_replay` draws,
-relabels and rewards its batches, as training does; the peer's `train` draws from its own, flat
-replay. Compare `with_replay` for what a user gets and `plain` for the update alone.
+normalisation), the same batch shape and one thread, and take turns; time is the processor's,
+so that other load on the machine counts little. `plain` and `layer_norm` are timed on a ready
+batch. `with_replay` draws, relabels and rewards its batches, as training does; the peer's
+`train` draws from its own, flat replay. Compare `with_replay` for what a user gets and `plain`
+for the update alone.
 """
 
 from __future__ import annotations
@@ -114,15 +115,15 @@ def make_peer(batch_size: int, inputs: int) -> Callable[[int], None]:
 
 
 def compare(runs: dict[str, Callable[[int], None]], updates: int, rounds: int) -> dict[str, float]:
-    """Median updates per second of each, taking turns."""
+    """Median updates per second of processor time of each, taking turns."""
     speeds: dict[str, list[float]] = {name: [] for name in runs}
     for run in runs.values():
         run(20)
     for _ in range(rounds):
         for name, run in runs.items():
-            started = time.perf_counter()
+            started = time.process_time()
             run(updates)
-            speeds[name].append(updates / (time.perf_counter() - started))
+            speeds[name].append(updates / (time.process_time() - started))
     return {name: statistics.median(values) for name, values in speeds.items()}
 
 
