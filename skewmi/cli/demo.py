@@ -111,20 +111,42 @@ def run_demo(options: DemoCommand) -> int:
 def summary(document: dict[str, Any]) -> Table:
     """What a person wants to know after the demo; every number from the steps' own reports."""
     train, export, deploy = (document["steps"][name] for name in ("train", "export", "deploy"))
-    table = Table("", "", title="skewmi demo", show_header=False, title_justify="left")
-    minutes = document["seconds"]["train"] / 60
-    table.add_row("training", f"{minutes:.1f} min, {_training_line(train)}")
+    table = Table(title="skewmi demo", show_header=False, title_justify="left")
+    table.add_row("training", training_line(train))
     table.add_row(
-        "policy in batched simulation",
-        f"success {export['onnx']['successes']}/{export['onnx']['episodes']} (ONNX), "
+        "in batched simulation",
+        f"success {export['onnx']['successes']} of {export['onnx']['episodes']} episodes; "
         f"onnxruntime and torch differ by at most {export['max_difference']:.1g}",
     )
+    ends = ", ".join(f"{e['outcome']} after {e['steps']} steps" for e in deploy["per_episode"])
     table.add_row(
-        "deployed on the simulated YuMi",
-        f"success {deploy['successes']}/{deploy['episodes']}",
+        "deployed, simulated YuMi",
+        f"success {deploy['successes']} of {deploy['episodes']} episodes ({ends})",
     )
+    uses = {"position": "|q|", "velocity": "|v|", "acceleration": "|a|", "jerk": "|jerk|"}
+    shares = [f"{symbol} {deploy['limit_fractions'][k]:.0%}" for k, symbol in uses.items()]
+    table.add_row("largest share of limits", f"{', '.join(shares)} ({deploy['limit_profile']})")
+    cycle = deploy["cycle_ms"]
+    table.add_row(
+        "planner cycle of 20 ms",
+        f"p50 {cycle['p50']:.1f} ms, p99 {cycle['p99']:.1f} ms; "
+        f"{deploy['missed_cycles']} of {deploy['cycles']} missed",
+    )
+    for reason in deploy["stops"]:
+        table.add_row("stopped", reason)
+    for name, path in document["files"].items():
+        table.add_row(name, path)
+    table.add_row("time", f"{sum(document['seconds'].values()) / 60:.1f} min")
     return table
 
 
-def _training_line(train: dict[str, Any]) -> str:
-    return ", ".join(f"{key} {value}" for key, value in train.items() if value is not None)
+def training_line(train: dict[str, Any]) -> str:
+    """How far training came, in one line."""
+    figures = train["figures"]
+    found = ", ".join(
+        f"{name} (trajectory {where['trajectory']})" for name, where in train["discoveries"].items()
+    )
+    return (
+        f"{figures['trajectories']:.0f} trajectories in {train['seconds'] / 60:.1f} min; "
+        f"discovered: {found or 'nothing yet'}"
+    )
