@@ -7,40 +7,16 @@ a millisecond each.
 from __future__ import annotations
 
 import math
-import re
-import tempfile
-from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
-from skewmi.deploy.replay_data import Motion, Run, Series
-from skewmi.deploy.scene_geometry import SceneGeometry, SceneJoint
-from skewmi.robot_models import frames, yumi
-from skewmi.robot_models.urdf import build_urdf
+from skewmi.deploy.replay_data import Run
+from skewmi.deploy.replay_scene import log_paths, log_robot, log_scene
+from skewmi.deploy.replay_style import BOX, JOINT_COLOURS, LIMIT, TIMELINE, Array, at
 
-Array = NDArray[np.float64]
-
-TIMELINE = "robot_time"
-"""Seconds of the endpoint's clock since the recording's first stamp."""
-
-_COMMANDED = (255, 140, 30, 255)
-_MEASURED = (60, 160, 255, 255)
-_BOX = (90, 200, 120, 160)
-_LIMIT = (150, 150, 150, 255)
-_JOINT_COLOURS = (
-    (230, 75, 60, 255),
-    (245, 165, 35, 255),
-    (200, 200, 60, 255),
-    (80, 185, 90, 255),
-    (70, 190, 210, 255),
-    (90, 120, 235, 255),
-    (190, 100, 220, 255),
-)
 _JOINT_LABELS = tuple(f"joint {number}" for number in (1, 2, 7, 3, 4, 5, 6))
 _PULSE_S = 0.3
 _QUANTITIES = ("position", "velocity", "acceleration", "jerk")
@@ -56,11 +32,11 @@ def log_run(recording: Any, run: Run, title: str) -> None:
         title: Name of the 3D view.
     """
     recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    _log_robot(recording, "measured", run.measured, run.fingers, ghost=False)
-    _log_robot(recording, "commanded", run.commanded, run.fingers, ghost=True)
-    _log_paths(recording, run)
+    log_robot(recording, "measured", run.measured, run.fingers, ghost=False)
+    log_robot(recording, "commanded", run.commanded, run.fingers, ghost=True)
+    log_paths(recording, run)
     if run.geometry is not None:
-        _log_scene(recording, run.geometry, run.scene)
+        log_scene(recording, run.geometry, run.scene)
     _log_joints(recording, run)
     _log_hand(recording, run)
     _log_policy(recording, run)
@@ -146,148 +122,6 @@ def blueprint(run: Run, title: str) -> Any:
     )
 
 
-def _at(time_s: Array) -> list[Any]:
-    return [rr.TimeColumn(TIMELINE, duration=time_s)]
-
-
-def _log_robot(recording: Any, name: str, motion: Motion, fingers: Series, *, ghost: bool) -> None:
-    """The robot from our URDF; a ghost is the moving arm alone, transparent."""
-    if not len(motion.time_s):
-        return
-    text = build_urdf(arms=("right",)) if ghost else build_urdf()
-    if ghost:
-        colour = " ".join(f"{c / 255:.3f}" for c in _COMMANDED[:3])
-        text = re.sub(r'rgba="[^"]*"', f'rgba="{colour} 0.35"', text)
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "yumi.urdf"
-        file.write_text(text)
-        tree = rr.urdf.UrdfTree.from_file_path(
-            file,
-            entity_path_prefix=f"robot_{name}",  # one path part: Rerun would escape a slash
-            frame_prefix=f"{name}/",
-            static_transform_entity_path=f"/robot_{name}/tf_static",
-        )
-        tree.log_urdf_to_recording(recording)
-    if not ghost:
-        _make_solid(recording, tree, text)
-    # The URDF's root is the robot base; world is the frame of everything else here.
-    recording.log(
-        f"/robot_{name}/base",
-        rr.Transform3D(
-            translation=frames.BASE_IN_WORLD,
-            parent_frame="tf#/",
-            child_frame=f"{name}/{yumi.BODY_NAME}",
-        ),
-        static=True,
-    )
-    for index, joint in enumerate(yumi.joint_names("right")):
-        _log_joint(recording, name, tree, joint, motion.time_s, motion.q[:, index])
-    if fingers.names:
-        for joint in yumi.finger_names("right"):
-            _log_joint(recording, name, tree, joint, fingers.time_s, fingers.values[:, 0])
-
-
-def _make_solid(recording: Any, tree: Any, text: str) -> None:
-    """Fill the shapes, which the URDF importer leaves as wire frames."""
-    archetypes = {
-        "box": rr.Boxes3D,
-        "cylinder": rr.Cylinders3D,
-        "capsule": rr.Capsules3D,
-        "sphere": rr.Ellipsoids3D,
-    }
-    for link in ElementTree.fromstring(text).iter("link"):
-        shapes = [geometry[0].tag for geometry in link.iterfind("visual/geometry")]
-        paths = tree.get_visual_geometry_paths(link.attrib["name"])
-        for path, shape in zip(paths, shapes, strict=True):
-            solid = archetypes[shape].from_fields(fill_mode=rr.components.FillMode.Solid)
-            recording.log(path, solid, static=True)
-
-
-def _log_joint(
-    recording: Any, name: str, tree: Any, joint: str, time_s: Array, values: Array
-) -> None:
-    found = tree.get_joint_by_name(joint)
-    assert found is not None, joint
-    columns = found.compute_transform_columns(values, clamp=False)
-    recording.send_columns(f"/robot_{name}/joints/{joint}", indexes=_at(time_s), columns=columns)
-
-
-def _log_paths(recording: Any, run: Run) -> None:
-    """Where the hand went and goes, and the box it may not leave."""
-    for name, motion, colour in (
-        ("commanded", run.commanded, _COMMANDED),
-        ("measured", run.measured, _MEASURED),
-    ):
-        if not len(motion.time_s):
-            continue
-        hand = motion.hand_w
-        recording.log(
-            f"/world/path/{name}",
-            rr.LineStrips3D([hand[:: max(1, len(hand) // 4000)]], colors=[colour], radii=[0.0008]),
-            static=True,
-        )
-        recording.send_columns(
-            f"/world/hand/{name}",
-            indexes=_at(motion.time_s),
-            columns=rr.Points3D.columns(positions=hand),
-        )
-        recording.log(
-            f"/world/hand/{name}",
-            rr.Points3D.from_fields(colors=[colour], radii=[0.005]),
-            static=True,
-        )
-    workspace = run.layout.workspace if run.layout is not None else None
-    if workspace is not None:
-        recording.log(
-            "/world/workspace",
-            rr.Boxes3D(
-                mins=[workspace.low],
-                sizes=[np.subtract(workspace.high, workspace.low)],
-                colors=[_BOX],
-                radii=[0.001],
-            ),
-            static=True,
-        )
-
-
-def _log_scene(recording: Any, geometry: SceneGeometry, states: Series) -> None:
-    """Each part under its joint; a joint's entity carries the motion."""
-    for joint in geometry.joints:
-        if joint.name in states.names:
-            _log_scene_joint(recording, joint, states)
-    for part in geometry.parts:
-        recording.log(
-            f"/world/scene/{part.joint or 'fixed'}/{part.name}",
-            rr.Boxes3D(
-                half_sizes=[part.half_size],
-                centers=[part.position],
-                quaternions=[rr.Quaternion(xyzw=np.roll(part.quaternion_wxyz, -1))],
-                colors=[part.colour],
-                fill_mode="solid",
-            ),
-            static=True,
-        )
-
-
-def _log_scene_joint(recording: Any, joint: SceneJoint, states: Series) -> None:
-    values = states.values[:, states.names.index(joint.name)]
-    axis, anchor = np.array(joint.axis), np.array(joint.anchor)
-    if joint.kind == "slide":
-        columns = rr.Transform3D.columns(translation=values[:, None] * axis)
-    else:
-        # p' = R (p - anchor) + anchor
-        half = values / 2
-        vector = np.sin(half)[:, None] * axis
-        quaternion = np.column_stack([vector, np.cos(half)])
-        turned = anchor + 2 * np.cross(
-            vector, np.cross(vector, anchor) + np.cos(half)[:, None] * anchor
-        )
-        columns = rr.Transform3D.columns(translation=anchor - turned, quaternion=quaternion)
-    recording.send_columns(
-        f"/world/scene/{joint.name}", indexes=_at(states.time_s), columns=columns
-    )
-
-
 def _log_joints(recording: Any, run: Run) -> None:
     """Position, velocity, acceleration and jerk of each joint, as fractions of its limits."""
     motion, limits = run.commanded, run.limits
@@ -312,14 +146,14 @@ def _log_joints(recording: Any, run: Run) -> None:
             motion.time_s,
             values,
             _JOINT_LABELS,
-            _JOINT_COLOURS,
+            JOINT_COLOURS,
         )
         _log_bounds(recording, f"/joints/{name}/limit", motion.time_s, (-1.0, 1.0))
 
 
 def _log_hand(recording: Any, run: Run) -> None:
     """Hand coordinates as fractions of the workspace box, and how far it lags."""
-    colours = (_JOINT_COLOURS[0], _JOINT_COLOURS[3], _JOINT_COLOURS[5])
+    colours = (JOINT_COLOURS[0], JOINT_COLOURS[3], JOINT_COLOURS[5])
     workspace = run.layout.workspace if run.layout is not None else None
     for name, motion in (("commanded", run.commanded), ("measured", run.measured)):
         if workspace is not None and len(motion.time_s):
@@ -343,7 +177,7 @@ def _log_policy(recording: Any, run: Run) -> None:
     observation, action = run.observation, run.action
     if observation.names:
         names = observation.names
-        colours = tuple(_JOINT_COLOURS[i % 7] for i in range(len(names)))
+        colours = tuple(JOINT_COLOURS[i % 7] for i in range(len(names)))
         _log_curves(
             recording, "/policy/observation", observation.time_s, observation.values, names, colours
         )
@@ -360,10 +194,16 @@ def _log_policy(recording: Any, run: Run) -> None:
             )
             heights = np.tile([[0.0], [1.0], [1.0], [0.0]], (len(edges), 1))
             _log_curves(
-                recording, f"{path}/success", edges.ravel(), heights, ("success",), (_BOX[:3],)
+                recording,
+                f"{path}/success",
+                edges.ravel(),
+                heights,
+                ("success",),
+                (BOX[:3],),
+                aggregated=False,
             )
     if action.names:
-        colours = tuple(_JOINT_COLOURS[i % 7] for i in range(len(action.names)))
+        colours = tuple(JOINT_COLOURS[i % 7] for i in range(len(action.names)))
         _log_curves(
             recording, "/policy/action/fields", action.time_s, action.values, action.names, colours
         )
@@ -375,7 +215,7 @@ def _log_policy(recording: Any, run: Run) -> None:
             run.scene.time_s,
             run.scene.values[:, index : index + 1],
             (name,),
-            (_JOINT_COLOURS[index % 7],),
+            (JOINT_COLOURS[index % 7],),
         )
 
 
@@ -386,12 +226,23 @@ def _log_curves(
     values: Array,
     names: tuple[str, ...],
     colours: tuple[tuple[int, ...], ...],
+    *,
+    aggregated: bool = True,
 ) -> None:
     """Several curves on one entity: one column."""
+    # Zoomed out, a pixel shows the extremes: the default average would hide peaks.
+    policy = rr.components.AggregationPolicy
     recording.log(
-        path, rr.SeriesLines(names=names, colors=colours, widths=[1.5] * len(names)), static=True
+        path,
+        rr.SeriesLines(
+            names=names,
+            colors=colours,
+            widths=[1.5] * len(names),
+            aggregation_policy=policy.MinMax if aggregated else policy.Off,
+        ),
+        static=True,
     )
-    recording.send_columns(path, indexes=_at(time_s), columns=rr.Scalars.columns(scalars=values))
+    recording.send_columns(path, indexes=at(time_s), columns=rr.Scalars.columns(scalars=values))
 
 
 def _log_bounds(recording: Any, path: str, time_s: Array, bounds: tuple[float, float]) -> None:
@@ -399,11 +250,11 @@ def _log_bounds(recording: Any, path: str, time_s: Array, bounds: tuple[float, f
     ends = np.array([time_s[0], time_s[-1]])
     recording.log(
         path,
-        rr.SeriesLines(names=["limit", "limit"], colors=[_LIMIT] * 2, widths=[1.0] * 2),
+        rr.SeriesLines(names=["limit", "limit"], colors=[LIMIT] * 2, widths=[1.0] * 2),
         static=True,
     )
     recording.send_columns(
-        path, indexes=_at(ends), columns=rr.Scalars.columns(scalars=np.array([bounds, bounds]))
+        path, indexes=at(ends), columns=rr.Scalars.columns(scalars=np.array([bounds, bounds]))
     )
 
 
@@ -418,6 +269,6 @@ def _log_events(recording: Any, run: Run) -> None:
         times, texts, levels = zip(*events, strict=True)
         recording.send_columns(
             "/events",
-            indexes=_at(np.array(times)),
+            indexes=at(np.array(times)),
             columns=rr.TextLog.columns(text=texts, level=levels),
         )
