@@ -99,7 +99,7 @@ def follow(
 
 @pytest.mark.parametrize("first_seed", [1000, 2000, 3000])
 def test_adversaries_find_no_breach(first_seed: int) -> None:
-    totals = FUZZ.fuzz(cycles=700, seed=first_seed, press_start=START, seconds=12.0)
+    totals = FUZZ.fuzz(cycles=500, seed=first_seed, press_start=START, seconds=12.0)
     assert totals.rounds >= 1
     assert max(totals.usage.values()) <= 1.0
     assert totals.usage["executed jerk"] > 0.5, "the adversaries must push"
@@ -186,9 +186,9 @@ def test_settles_where_the_training_kinematics_do(planner: Planner) -> None:
     """mink's answer and the batched one of the simulation put the hand at the same pose."""
     rng = np.random.default_rng(5)
     base = np.array(planner.workspace.base_position)
-    for target in rng.uniform(planner.workspace.low, planner.workspace.high, (4, 3)):
-        planner.set_target(target, 1.5)
-        for _ in range(160):
+    for target in rng.uniform(planner.workspace.low, planner.workspace.high, (3, 3)):
+        planner.set_target(target, 1.0)
+        for _ in range(130):
             chunk = planner.step()
         trained = KINEMATICS.inverse(
             target - base, frames.HAND_DOWN, START, posture=START, max_iterations=50
@@ -222,8 +222,17 @@ def test_follows_150_mm_per_second(planner: Planner, direction: tuple[float, ...
     assert run.continued == 0
 
 
-@pytest.mark.parametrize("profile", ["lab", "careful"])
-@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize(
+    ("profile", "axis"),
+    [
+        ("lab", 0),
+        ("lab", 1),
+        ("lab", 2),
+        ("careful", 0),
+        pytest.param("careful", 1, marks=pytest.mark.slow),
+        pytest.param("careful", 2, marks=pytest.mark.slow),
+    ],
+)
 @pytest.mark.parametrize("side", ["low", "high"])
 def test_stops_at_every_face(workspace: Workspace, profile: str, axis: int, side: str) -> None:
     """Driven at a face, the hand stops on it, keeps to it, and comes back when asked."""
@@ -233,7 +242,7 @@ def test_stops_at_every_face(workspace: Workspace, profile: str, axis: int, side
     target[axis] = (workspace.low if side == "low" else workspace.high)[axis]
     beyond = target.copy()
     beyond[axis] += -1.0 if side == "low" else 1.0
-    patience = 100 if profile == "lab" else 360
+    patience = 100 if profile == "lab" else (120 if axis == 0 else 360)
     run = follow(planner, [beyond], settle_cycles=patience)
     outside = np.maximum(np.array(workspace.low) - run.hand_w, run.hand_w - workspace.high)
     assert outside.max() < 1.5e-3
