@@ -6,6 +6,7 @@ this machine only unless told otherwise. Ctrl-C brakes the arm and ends.
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import threading
@@ -77,6 +78,7 @@ def run_robot(options: RobotCommand) -> int:
 
 
 def _wait_for_end_of_input(stop: threading.Event) -> None:
-    while sys.stdin.buffer.read(4096):
+    # Not through sys.stdin: a thread that waits in its buffer cannot be left at exit.
+    while os.read(sys.stdin.fileno(), 4096):
         pass
     stop.set()

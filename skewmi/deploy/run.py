@@ -17,6 +17,7 @@ from skewmi.deploy.recorder import Recorder
 from skewmi.deploy.recording import run_metadata
 from skewmi.deploy.report import DeployReport
 from skewmi.deploy.transport import Link, TransportConfig
+from skewmi.errors import LayoutMismatchError
 from skewmi.policy_io import Policy
 from skewmi.robot_models import limits as joint_limits
 from skewmi.robot_models import yumi
@@ -51,6 +52,10 @@ def run_deploy(
     stop = threading.Event() if stop is None else stop
     tell = (lambda text: None) if on_event is None else on_event
     profile = joint_limits.profile(options.limits)
+    if policy.layout.workspace is None:
+        raise LayoutMismatchError(
+            f"task {policy.layout.task!r} has no workspace: there is no robot to deploy it on"
+        )
     report = DeployReport(
         task=policy.layout.task,
         robot=options.connect or "sim",
