@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from skewmi.errors import ConfigurationError
+from skewmi.errors import ConfigurationError, KinematicsError
 from skewmi.policy_io import inside_region
 from skewmi.robot_models import frames, kinematics
 from skewmi.sim.open_press_close import definition, parts
@@ -114,6 +114,11 @@ def test_the_measured_hand_is_mujocos_flange(scene, data) -> None:
         position_w, rotation = scene.hand_pose(data.qpos)
         np.testing.assert_allclose(position_w, data.site("tool0_r").xpos, atol=1e-9)
         np.testing.assert_allclose(rotation, data.site("tool0_r").xmat.reshape(3, 3), atol=1e-9)
+
+
+def test_a_start_out_of_reach_is_refused(scene) -> None:
+    with pytest.raises(KinematicsError, match="cannot be reached"):
+        scene.start_positions(LAYOUT, np.array([[0.6, 0.0, 0.3]]))
 
 
 def test_one_data_reset_varies_only_with_a_generator(scene, data) -> None:
