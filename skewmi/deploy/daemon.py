@@ -13,10 +13,9 @@ from collections.abc import Callable
 import numpy as np
 
 from skewmi.deploy import topics
+from skewmi.deploy.checks import ChunkChecks
 from skewmi.deploy.daemon_states import DAEMON_TABLE, DaemonEvent, DaemonState
 from skewmi.deploy.episode import EpisodeRunner
-from skewmi.deploy.guard import Guard
-from skewmi.deploy.limits import ChunkChecker, LimitUsage
 from skewmi.deploy.messages import (
     ERROR,
     OK,
@@ -27,7 +26,12 @@ from skewmi.deploy.messages import (
 from skewmi.deploy.observer import ArmState, Observer
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.planner import Planner
-from skewmi.deploy.preflight import check_agreement
+from skewmi.deploy.preflight import (
+    check_agreement,
+    draw_start,
+    followed_speed,
+    planning_limits,
+)
 from skewmi.deploy.realtime import hot_loop
 from skewmi.deploy.report import DeployReport, EpisodeReport
 from skewmi.deploy.robot_client import RobotClient, StopRequestedError
@@ -37,10 +41,7 @@ from skewmi.deploy.timing import CycleTimes
 from skewmi.deploy.transport import Link
 from skewmi.errors import ConfigurationError, SkewmiError, TransportError
 from skewmi.policy_io import Array, Policy
-from skewmi.robot_models import limits as joint_limits
 from skewmi.robot_models import yumi
-from skewmi.robot_models.frames import rotation_from_quaternion
-from skewmi.robot_models.kinematics import ArmKinematics
 
 _log = logging.getLogger(__name__)
 
@@ -81,7 +82,7 @@ class Daemon:
         self._clock_ns = 0
         self._status = link.publisher(topics.YUMI_STATUS)
         self._machine = StateMachine(DAEMON_TABLE, self._on_transition)
-        limits = joint_limits.profile(options.limits).scaled(options.speed)
+        limits = planning_limits(options.limits, options.speed)
         self._robot = RobotClient(link, STATUS_NAME, dry_run=options.dry_run)
         description = self._robot.describe()
         if description.lock_step != options.lock_step:
@@ -96,7 +97,6 @@ class Daemon:
         assert workspace is not None
         self._workspace = workspace
         self._layout = policy.layout
-        self._kinematics = ArmKinematics("right")
         observations = link.publisher(topics.POLICY_OBSERVATION)
         actions = link.publisher(topics.POLICY_ACTION)
         self._observer = Observer(
@@ -109,20 +109,25 @@ class Daemon:
             on_repeat=self._on_repeat,
         )
         self._times = CycleTimes()
-        self._boxed = False
-        forward = self._kinematics.forward
-        self._checkers = {
-            False: (ChunkChecker(limits, None, forward), Guard(limits, None)),
-            True: (ChunkChecker(limits, workspace, forward), Guard(limits, workspace)),
-        }
+        self._checks = ChunkChecks(limits, workspace)
         self._stream = ChunkStream(
             self._robot.put_chunk,
             description.joint_names,
-            (("check", self._check), ("guard", self._guard)),
+            self._checks.stages,
             self._times,
             lock_step=options.lock_step,
             lead_ns=round(options.lead_ms * 1e6),
         )
+
+        planner = Planner(workspace, limits)
+        hand_speed = planner.hand_bounds.speed
+        speed = report.speed = followed_speed(policy.layout, options.speed, hand_speed)
+        if speed < options.speed:
+            report.notes.append(
+                f"limits {limits.name} allow the hand {1e3 * hand_speed:.0f} mm/s: every control "
+                f"step takes {1.0 / speed:.1f} times as long as in training"
+            )
+            on_event(report.notes[-1])
 
         def publish_policy(observation: bytes, action: bytes) -> None:
             observations.put(observation)
@@ -130,12 +135,12 @@ class Daemon:
 
         self._runner = EpisodeRunner(
             policy,
-            Planner(workspace, limits),
+            planner,
             self._observer,
             self._stream,
             self._times,
             limits,
-            speed=options.speed,
+            speed=speed,
             supervise=self._supervise,
             resync=self._resync,
             publish_policy=publish_policy,
@@ -147,19 +152,16 @@ class Daemon:
     def _warm_up(self, policy: Policy, planner: Planner) -> None:
         """Do once what every cycle does: first calls load code and build tables."""
         self._stream.warm_up()
-        q = np.array(self._workspace.start_configuration)
-        planner.reset(q)
+        planner.reset(np.array(self._workspace.start_configuration))
         planner.set_target(np.array(self._workspace.start) + 0.01, self._layout.control_dt)
         policy.reset()
         policy.act(np.zeros(self._layout.observation_dim))
-        present = planner.present
-        for _ in range(_WARM_CYCLES):
-            chunk = planner.step()
-            for self._boxed in (False, True):
-                self._check(chunk.q, chunk.v, chunk.a, present)
-                self._guard(chunk.q, chunk.v, chunk.a, present)
+        for cycle in range(_WARM_CYCLES):
             present = planner.present
-        policy.reset()
+            chunk = planner.step()
+            self._checks.boxed = cycle % 2 == 0
+            for _, check in self._checks.stages:
+                check(chunk.q, chunk.v, chunk.a, present)
 
     @property
     def state(self) -> DaemonState:
@@ -190,13 +192,13 @@ class Daemon:
         try:
             state, q = self._preflight(seed)
             self._fire(DaemonEvent.READY, "hashes and limits agree, states are fresh")
-            self._boxed = False
+            self._checks.boxed = False
             if not self._options.dry_run:
-                q_goal = self._start_configuration(seed, q)
+                q_goal = draw_start(self._workspace, seed, self._options.start_spread, q)
                 state = self._runner.move_to(q, q_goal, state)
                 q = q_goal
             self._fire(DaemonEvent.AT_START, "the arm rests at the start")
-            self._boxed = True
+            self._checks.boxed = True
             end = self._runner.run_policy(q, state)
             final = end.observation
             reason = "the task is solved" if end.success else f"{end.steps} steps are used up"
@@ -246,30 +248,6 @@ class Daemon:
         state = self._observer.next_state()
         self._observer.check_scene()
         return state, np.array(self._robot.describe().commanded_position)
-
-    def _start_configuration(self, seed: int, q_near: Array) -> Array:
-        """Joint angles of this episode's start, drawn around the task's start position, rad."""
-        workspace, spread = self._workspace, self._options.start_spread
-        offset = np.random.default_rng(seed).uniform(-spread, spread, 3)
-        start = np.clip(np.array(workspace.start) + offset, workspace.low, workspace.high)
-        posture = np.array(workspace.start_configuration)
-        q = posture if np.abs(q_near - posture).max() > 0.5 else q_near
-        result = self._kinematics.inverse(
-            (start - np.array(workspace.base_position))[None],
-            rotation_from_quaternion(workspace.hand_quaternion_wxyz),
-            q[None],
-            posture=posture,
-        )
-        goal: Array = result.q[0]
-        return goal
-
-    def _check(
-        self, q: Array, v: Array, a: Array, previous: tuple[Array, Array, Array]
-    ) -> LimitUsage:
-        return self._checkers[self._boxed][0].check(q, v, a, previous)
-
-    def _guard(self, q: Array, v: Array, a: Array, previous: tuple[Array, Array, Array]) -> None:
-        self._checkers[self._boxed][1].check(q, v, a)
 
     def _supervise(self, state: ArmState) -> None:
         """Every cycle: has somebody asked to stop, and does the endpoint still follow?"""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -89,7 +90,7 @@ class EpisodeRunner:
         self._resync = resync
         self._publish_policy = publish_policy
         self._publish_gripper = publish_gripper
-        self._action_cycles = max(1, round(self._layout.control_dt * 1e9 / CYCLE_NS / speed))
+        self._action_cycles = math.ceil(self._layout.control_dt * 1e9 / CYCLE_NS / speed - 1e-6)
         self._action_names = tuple(field.name for field in self._layout.action)
         self._scale = self._layout.action_scale
         self.steps = 0

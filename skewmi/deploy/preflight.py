@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
+
 from skewmi.deploy.description import EndpointDescription, limit_values
 from skewmi.deploy.stream import CYCLE_NS, GRID_NS
 from skewmi.errors import ConfigurationError, LayoutMismatchError
-from skewmi.policy_io import PolicyLayout
+from skewmi.policy_io import Array, PolicyLayout, Workspace
+from skewmi.robot_models import limits as joint_limits
 from skewmi.robot_models import yumi
+from skewmi.robot_models.frames import rotation_from_quaternion
+from skewmi.robot_models.kinematics import ArmKinematics, require_converged
 from skewmi.robot_models.limits import JointLimits
+
+OTHER_POSTURE = 0.5
+"""Joint distance from the task's posture beyond which the start is sought from there, rad."""
+
+_START_ITERATIONS = 50
 
 
 def check_agreement(
@@ -57,6 +69,71 @@ def check_agreement(
             f"{endpoint.state_period_ns} ns; this daemon needs {GRID_NS} and {CYCLE_NS}"
         )
     _check_limits(limits, endpoint)
+
+
+def planning_limits(profile: str, speed: float) -> JointLimits:
+    """The joint limits to plan with: a profile's, with no more than a share of full velocity.
+
+    Full velocity is that of the fastest profile, so that a slow profile is not slowed down a
+    second time. Acceleration and jerk stay: a slower robot shall not need longer to stop.
+
+    Args:
+        profile: Name of the profile.
+        speed: Share of the training's speed, 0..1.
+
+    Raises:
+        NotFoundError: No such profile.
+    """
+    limits = joint_limits.profile(profile)
+    full = np.max([other.velocity for other in joint_limits.PROFILES.values()], axis=0)
+    return replace(limits, velocity=np.minimum(limits.velocity, speed * full))
+
+
+def followed_speed(layout: PolicyLayout, speed: float, hand_speed: float) -> float:
+    """The share of the training's speed at which the hand can follow full actions.
+
+    Args:
+        layout: Its actions and control step say how fast the policy may ask the hand to move.
+        speed: The share that was asked for.
+        hand_speed: What the joint limits allow the hand, m/s.
+
+    Returns:
+        `speed`, or less.
+    """
+    asked = float(layout.action_scale[:3].max()) / layout.control_dt
+    return min(speed, hand_speed / asked)
+
+
+def draw_start(workspace: Workspace, seed: int, spread: float, q_near: Array) -> Array:
+    """Joint angles of an episode's start, drawn around the task's start position.
+
+    Args:
+        workspace: Start, posture and orientation of the hand.
+        seed: Of the draw.
+        spread: Half-width of the uniform offset, m per axis.
+        q_near: Where the arm is, rad: the start is the configuration next to it, unless that is
+            another posture altogether. Shape (7,).
+
+    Returns:
+        rad. Shape (7,).
+
+    Raises:
+        KinematicsError: The start cannot be reached.
+    """
+    offset = np.random.default_rng(seed).uniform(-spread, spread, 3)
+    start = np.clip(np.array(workspace.start) + offset, workspace.low, workspace.high)
+    posture = np.array(workspace.start_configuration)
+    near = posture if np.abs(q_near - posture).max() > OTHER_POSTURE else q_near
+    result = ArmKinematics("right").inverse(
+        (start - np.array(workspace.base_position))[None],
+        rotation_from_quaternion(workspace.hand_quaternion_wxyz),
+        near[None],
+        posture=posture,
+        max_iterations=_START_ITERATIONS,
+    )
+    require_converged(result)
+    q: Array = result.q[0]
+    return q
 
 
 def _check_limits(limits: JointLimits, endpoint: EndpointDescription) -> None:

@@ -13,6 +13,7 @@ from skewmi.deploy.daemon import Daemon
 from skewmi.deploy.description import SCENE_REQUEST, EndpointDescription, limit_values
 from skewmi.deploy.endpoint_process import sim_endpoint_process
 from skewmi.deploy.options import DeployOptions
+from skewmi.deploy.preflight import planning_limits
 from skewmi.deploy.recorder import Recorder
 from skewmi.deploy.recording import run_metadata
 from skewmi.deploy.report import DeployReport
@@ -98,7 +99,7 @@ def _recording(
     if options.record is None:
         yield
         return
-    limits = joint_limits.profile(options.limits).scaled(options.speed)
+    limits = planning_limits(options.limits, options.speed)
     reply = link.call(topics.YUMI_DESCRIBE, 5.0, SCENE_REQUEST)
     description = EndpointDescription.from_json(reply.message)
     metadata = run_metadata(

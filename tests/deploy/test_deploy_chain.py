@@ -327,6 +327,34 @@ def test_killed_daemon_leaves_the_arm_at_rest_within_limits(robot: str, tmp_path
     assert ends[-1].stamp_ns == last.stamp_ns + last.time_from_start_ns[-1]
 
 
+def test_silent_endpoint_stops_the_run_as_stale(tmp_path: Path) -> None:
+    locator = f"tcp/127.0.0.1:{free_port()}"
+    command = [sys.executable, "-m", "skewmi.cli.main", "robot", "--listen", locator, "--json"]
+    endpoint = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    try:
+        assert endpoint.stdout is not None
+        endpoint.stdout.readline()
+
+        def suspend(action: Array) -> Array:
+            endpoint.send_signal(signal.SIGSTOP)
+            threading.Timer(0.5, lambda: endpoint.send_signal(signal.SIGCONT)).start()
+            return action
+
+        path = tmp_path / "run.mcap"
+        options = DeployOptions(connect=locator, record=path)
+        report = run_deploy(Scripted(15, suspend), options)
+        (episode,) = report.episodes
+        assert episode.outcome == "stopped"
+        assert "no new joint state" in episode.reason
+        assert describe(locator).state == "disarmed"
+        assert_limits_kept(path)
+        endpoint.send_signal(signal.SIGTERM)
+        assert endpoint.wait(10.0) == 0
+    finally:
+        endpoint.kill()
+        endpoint.wait()
+
+
 def test_second_daemon_is_refused_and_the_first_goes_on(robot: str) -> None:
     reports = {}
 

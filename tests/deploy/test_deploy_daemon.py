@@ -18,7 +18,7 @@ import torch
 from skewmi.cli.main import main
 from skewmi.deploy.description import EndpointDescription, limit_values
 from skewmi.deploy.options import DeployOptions
-from skewmi.deploy.preflight import check_agreement
+from skewmi.deploy.preflight import check_agreement, draw_start, followed_speed, planning_limits
 from skewmi.deploy.realtime import hot_loop
 from skewmi.deploy.stream import CYCLE_NS, GRID_NS, ChunkStream
 from skewmi.deploy.timing import CycleTimes, percentiles_ms
@@ -32,6 +32,7 @@ from skewmi.export.onnx_export import export_policy
 from skewmi.policy_io import Array, PolicyLayout
 from skewmi.robot_models import limits as joint_limits
 from skewmi.robot_models import yumi
+from skewmi.robot_models.kinematics import ArmKinematics
 from skewmi.sim.open_press_close.definition import make_layout
 
 LAB = joint_limits.profile("lab")
@@ -225,6 +226,39 @@ def test_agreement_passes_only_if_everything_agrees() -> None:
 def test_every_disagreement_is_refused(changes: dict[str, Any], error: type) -> None:
     with pytest.raises(error):
         check_agreement(make_layout(), yumi.MODEL_HASH, LAB, description(**changes))
+
+
+def test_a_slow_profile_is_not_slowed_down_twice() -> None:
+    careful = joint_limits.profile("careful")
+    np.testing.assert_array_equal(planning_limits("careful", 0.3).velocity, careful.velocity)
+    np.testing.assert_allclose(planning_limits("lab", 0.3).velocity, 0.3 * LAB.velocity)
+    np.testing.assert_array_equal(planning_limits("lab", 0.3).jerk, LAB.jerk)
+
+
+def test_policy_runs_as_fast_as_the_hand_can_follow() -> None:
+    layout = make_layout()
+    asked = 0.015 / 0.1  # m/s of a full action
+    assert followed_speed(layout, 1.0, 2.0 * asked) == 1.0
+    assert followed_speed(layout, 1.0, 0.25 * asked) == pytest.approx(0.25)
+    assert followed_speed(layout, 0.1, 0.25 * asked) == 0.1
+
+
+@pytest.mark.parametrize("far", [False, True])
+def test_starts_lie_around_the_tasks_start(far: bool) -> None:
+    workspace = make_layout().workspace
+    assert workspace is not None
+    posture = np.array(workspace.start_configuration)
+    near = np.array(yumi.HOME["right"]) if far else posture + 0.01
+    forward = ArmKinematics("right").forward
+    starts = []
+    for seed in range(5):
+        q = draw_start(workspace, seed, 0.005, near)
+        assert (q == draw_start(workspace, seed, 0.005, near)).all()
+        hand = forward(q)[0] + np.array(workspace.base_position)
+        starts.append(hand)
+        assert np.abs(hand - np.array(workspace.start)).max() < 0.005 + 1e-4
+        assert np.abs(q - posture).max() < 0.2
+    assert np.ptp(starts, axis=0).min() > 1e-3
 
 
 class Resting:

@@ -68,7 +68,7 @@ def test_daemon_runs_only_after_preflight_and_start_motion(events) -> None:
     visited = [machine.state]
     for event in events:
         if machine.fire(event, "test", 0):
-            visited.append(machine.state)
+            visited.append(machine.state)  # noqa: PERF401
     for index, state in enumerate(visited):
         if state is DaemonState.RUNNING:
             assert visited[index - 2 : index] == [DaemonState.PREFLIGHT, DaemonState.TO_START]
