@@ -26,12 +26,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import common
 from planner_fuzz import press_workspace
 
-from skewmi.deploy.cartesian_shaper import CartesianShaper, Reference
-from skewmi.deploy.differential_ik import DifferentialIk
 from skewmi.deploy.guard import Guard
-from skewmi.deploy.joint_shaper import JointShaper
 from skewmi.deploy.limits import ChunkChecker
-from skewmi.deploy.planner import PlannedChunk, Planner
+from skewmi.deploy.motion.cartesian_shaper import CartesianShaper, Reference
+from skewmi.deploy.motion.differential_ik import DifferentialIk
+from skewmi.deploy.motion.joint_shaper import JointShaper
+from skewmi.deploy.motion.planner import PlannedChunk, Planner
 from skewmi.robot_models import frames, limits, yumi
 from skewmi.robot_models.frames import rotation_vector
 from skewmi.robot_models.kinematics import ArmKinematics

@@ -35,7 +35,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import common
 
 from skewmi.deploy.limits import ChunkChecker, LimitUsage
-from skewmi.deploy.planner import Planner
+from skewmi.deploy.motion.planner import Planner
 from skewmi.errors import ConfigurationError, KinematicsError, LimitViolationError
 from skewmi.policy_io import Workspace
 from skewmi.robot_models import frames, limits, urdf, yumi

@@ -14,11 +14,11 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from skewmi.deploy import topics
-from skewmi.deploy.daemon import STATUS_NAME
-from skewmi.deploy.daemon_states import DaemonState
-from skewmi.deploy.messages import JointStates, decode_joint_states, decode_status
-from skewmi.deploy.recording import LAYOUT, Recording, read_recording
+from skewmi.deploy.daemon.daemon import STATUS_NAME
+from skewmi.deploy.daemon.states import DaemonState
+from skewmi.deploy.recording.reader import LAYOUT, Recording, read_recording
+from skewmi.deploy.wire import topics
+from skewmi.deploy.wire.messages import JointStates, decode_joint_states, decode_status
 from skewmi.errors import ConfigurationError, NotFoundError
 from skewmi.policy_io import Array, PolicyLayout
 

@@ -38,7 +38,7 @@ def run_replay(options: ReplayCommand) -> int:
     if options.live and options.out is not None:
         raise ConfigurationError("give --live or --out, not both")
     # Late, because Rerun takes a while to import and wrong options should fail at once.
-    from skewmi.deploy.replay import show_replay, write_replay
+    from skewmi.deploy.replay.replay import show_replay, write_replay
 
     out = options.out or options.recording.with_suffix(".rrd")
     with Console(stderr=True).status(f"reading {options.recording}"):

@@ -18,7 +18,7 @@ from rich.console import Console
 
 from skewmi.deploy.description import EndpointDescription
 from skewmi.deploy.endpoint.run import SimEndpointOptions, run_sim_endpoint
-from skewmi.deploy.transport import DEFAULT_LOCATOR, TransportConfig
+from skewmi.deploy.wire.transport import DEFAULT_LOCATOR, TransportConfig
 from skewmi.robot_models import limits as joint_limits
 
 

@@ -11,9 +11,9 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from skewmi.deploy import topics
 from skewmi.deploy.description import EndpointDescription
-from skewmi.deploy.transport import DEFAULT_LOCATOR, Link, TransportConfig
+from skewmi.deploy.wire import topics
+from skewmi.deploy.wire.transport import DEFAULT_LOCATOR, Link, TransportConfig
 from skewmi.errors import TransportError
 
 _RESTING = ("disarmed", "fault")

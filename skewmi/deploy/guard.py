@@ -19,7 +19,7 @@ import numpy as np
 import pinocchio
 from numpy.typing import NDArray
 
-from skewmi.deploy.brake import Array
+from skewmi.deploy.motion.brake import Array
 from skewmi.errors import LimitViolationError
 from skewmi.policy_io import Workspace
 from skewmi.robot_models import urdf, yumi

@@ -8,16 +8,16 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
 
-from skewmi.deploy import topics
-from skewmi.deploy.daemon import Daemon
+from skewmi.deploy.daemon.daemon import Daemon
+from skewmi.deploy.daemon.endpoint_process import sim_endpoint_process
+from skewmi.deploy.daemon.preflight import planning_limits
 from skewmi.deploy.description import SCENE_REQUEST, EndpointDescription, limit_values
-from skewmi.deploy.endpoint_process import sim_endpoint_process
 from skewmi.deploy.options import DeployOptions
-from skewmi.deploy.preflight import planning_limits
-from skewmi.deploy.recorder import Recorder
-from skewmi.deploy.recording import run_metadata
+from skewmi.deploy.recording.reader import run_metadata
+from skewmi.deploy.recording.recorder import Recorder
 from skewmi.deploy.report import DeployReport
-from skewmi.deploy.transport import Link, TransportConfig
+from skewmi.deploy.wire import topics
+from skewmi.deploy.wire.transport import Link, TransportConfig
 from skewmi.errors import LayoutMismatchError
 from skewmi.policy_io import Policy
 from skewmi.robot_models import limits as joint_limits

@@ -1,6 +1,6 @@
 """State machines as complete tables: every state answers every event, and says why it moved.
 
-The tables of the daemon (`daemon_states`) and of the robot endpoint (`endpoint.states`) are plain
+The tables of the daemon (`daemon.states`) and of the robot endpoint (`endpoint.states`) are plain
 data. `docs/deploy-states.md` shows them, and a test keeps page and tables equal.
 """
 

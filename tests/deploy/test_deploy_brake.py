@@ -7,7 +7,7 @@ import ruckig
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skewmi.deploy.brake import Array, approach_speed, plan_stop
+from skewmi.deploy.motion.brake import Array, approach_speed, plan_stop
 
 GRID_DT = 0.004
 

@@ -17,21 +17,21 @@ import pytest
 from scripted_open_press_close import ScriptedOpenPressClose
 
 from skewmi.cli.main import main
-from skewmi.deploy import topics
+from skewmi.deploy.daemon.endpoint_process import free_port, sim_endpoint_process
 from skewmi.deploy.description import EndpointDescription
-from skewmi.deploy.endpoint_process import free_port, sim_endpoint_process
 from skewmi.deploy.limits import ChunkChecker
-from skewmi.deploy.messages import (
+from skewmi.deploy.options import DeployOptions
+from skewmi.deploy.recording.reader import read_recording
+from skewmi.deploy.recording.recorder import Recorder
+from skewmi.deploy.run import run_deploy
+from skewmi.deploy.wire import topics
+from skewmi.deploy.wire.messages import (
     TrajectoryChunk,
     decode_chunk,
     decode_joint_states,
     decode_status,
 )
-from skewmi.deploy.options import DeployOptions
-from skewmi.deploy.recorder import Recorder
-from skewmi.deploy.recording import read_recording
-from skewmi.deploy.run import run_deploy
-from skewmi.deploy.transport import Link, TransportConfig
+from skewmi.deploy.wire.transport import Link, TransportConfig
 from skewmi.errors import ConfigurationError, LayoutMismatchError, TransportError
 from skewmi.policy_io import Array
 from skewmi.robot_models import limits as joint_limits

@@ -16,12 +16,17 @@ import pytest
 import torch
 
 from skewmi.cli.main import main
+from skewmi.deploy.daemon.preflight import (
+    check_agreement,
+    draw_start,
+    followed_speed,
+    planning_limits,
+)
+from skewmi.deploy.daemon.realtime import hot_loop
+from skewmi.deploy.daemon.stream import CYCLE_NS, GRID_NS, ChunkStream
+from skewmi.deploy.daemon.timing import CycleTimes, percentiles_ms
 from skewmi.deploy.description import EndpointDescription, limit_values
 from skewmi.deploy.options import DeployOptions
-from skewmi.deploy.preflight import check_agreement, draw_start, followed_speed, planning_limits
-from skewmi.deploy.realtime import hot_loop
-from skewmi.deploy.stream import CYCLE_NS, GRID_NS, ChunkStream
-from skewmi.deploy.timing import CycleTimes, percentiles_ms
 from skewmi.errors import (
     ConfigurationError,
     LayoutMismatchError,

@@ -14,8 +14,8 @@ from skewmi.deploy.endpoint.run import limit_check
 from skewmi.deploy.endpoint.sim_twin import SimTwin
 from skewmi.deploy.endpoint.states import EndpointState
 from skewmi.deploy.endpoint.validation import ChunkValidator, ValidationRules
-from skewmi.deploy.messages import TrajectoryChunk, encode_chunk
-from skewmi.deploy.start_motion import StartMotion
+from skewmi.deploy.motion.start_motion import StartMotion
+from skewmi.deploy.wire.messages import TrajectoryChunk, encode_chunk
 from skewmi.errors import CommandRefusedError, NotFoundError
 from skewmi.robot_models import limits as joint_limits
 

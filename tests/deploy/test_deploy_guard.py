@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from skewmi.deploy.guard import CLEARANCE, Guard
-from skewmi.deploy.start_motion import StartMotion
+from skewmi.deploy.motion.start_motion import StartMotion
 from skewmi.errors import LimitViolationError
 from skewmi.policy_io import Array, Workspace
 from skewmi.robot_models import limits, yumi

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skewmi.deploy import messages, ros2_types, topics
-from skewmi.deploy.messages import JointStates, Status, TrajectoryChunk, TriggerReply
+from skewmi.deploy.wire import messages, ros2_types, topics
+from skewmi.deploy.wire.messages import JointStates, Status, TrajectoryChunk, TriggerReply
 from skewmi.errors import TransportError
 
 NAMES = tuple(f"yumi_joint_{i}_r" for i in (1, 2, 7, 3, 4, 5, 6))

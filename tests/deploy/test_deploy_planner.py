@@ -14,9 +14,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skewmi.deploy.cartesian_shaper import CartesianShaper, Reference
 from skewmi.deploy.limits import ChunkChecker
-from skewmi.deploy.planner import PlannedChunk, Planner
+from skewmi.deploy.motion.cartesian_shaper import CartesianShaper, Reference
+from skewmi.deploy.motion.planner import PlannedChunk, Planner
 from skewmi.errors import ConfigurationError, KinematicsError, LimitViolationError
 from skewmi.policy_io import Array, Workspace
 from skewmi.robot_models import frames, limits, yumi

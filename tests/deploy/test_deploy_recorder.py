@@ -15,12 +15,12 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_typestore
 
-from skewmi.deploy import messages, topics
-from skewmi.deploy.messages import JointStates
-from skewmi.deploy.recorder import Recorder
-from skewmi.deploy.recording import METADATA_NAME, read_recording, run_metadata
-from skewmi.deploy.recording_writer import RecordingWriter
-from skewmi.deploy.transport import Link, TransportConfig
+from skewmi.deploy.recording.reader import METADATA_NAME, read_recording, run_metadata
+from skewmi.deploy.recording.recorder import Recorder
+from skewmi.deploy.recording.writer import RecordingWriter
+from skewmi.deploy.wire import messages, topics
+from skewmi.deploy.wire.messages import JointStates
+from skewmi.deploy.wire.transport import Link, TransportConfig
 from skewmi.errors import ConfigurationError, TransportError
 
 NAMES = ("a", "b")
@@ -99,8 +99,8 @@ def test_recording_is_finished_when_its_owner_is_killed(tmp_path, config):
     code = f"""
 import time
 from pathlib import Path
-from skewmi.deploy.recorder import Recorder
-from skewmi.deploy.transport import TransportConfig
+from skewmi.deploy.recording.recorder import Recorder
+from skewmi.deploy.wire.transport import TransportConfig
 recorder = Recorder(Path({str(path)!r}), TransportConfig.for_client({config.listen[0]!r}))
 print("recording", flush=True)
 time.sleep(60)

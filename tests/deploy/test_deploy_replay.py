@@ -11,13 +11,13 @@ import pytest
 from rerun.chunk import RrdReader
 
 from skewmi.cli.replay import ReplayCommand, run_replay
-from skewmi.deploy import messages, topics
-from skewmi.deploy.messages import JointStates, Status, TrajectoryChunk
-from skewmi.deploy.recording import METADATA_NAME, read_recording, run_metadata
-from skewmi.deploy.recording_writer import RecordingWriter
-from skewmi.deploy.replay import write_replay
-from skewmi.deploy.replay_data import understand
-from skewmi.deploy.scene_geometry import SceneGeometry
+from skewmi.deploy.recording.reader import METADATA_NAME, read_recording, run_metadata
+from skewmi.deploy.recording.scene_geometry import SceneGeometry
+from skewmi.deploy.recording.writer import RecordingWriter
+from skewmi.deploy.replay.data import understand
+from skewmi.deploy.replay.replay import write_replay
+from skewmi.deploy.wire import messages, topics
+from skewmi.deploy.wire.messages import JointStates, Status, TrajectoryChunk
 from skewmi.errors import ConfigurationError
 from skewmi.policy_io import ActionField, Ball, Field, PolicyLayout, Workspace
 from skewmi.robot_models import frames, limits, yumi

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from skewmi.deploy.limits import ChunkChecker, LimitUsage
-from skewmi.deploy.start_motion import StartMotion
+from skewmi.deploy.motion.start_motion import StartMotion
 from skewmi.errors import ConfigurationError, LimitViolationError
 from skewmi.policy_io import Array
 from skewmi.robot_models import limits, yumi

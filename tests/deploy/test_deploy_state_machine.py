@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skewmi.deploy.daemon_states import BRAKING, DAEMON_TABLE, DaemonEvent, DaemonState
+from skewmi.deploy.daemon.states import BRAKING, DAEMON_TABLE, DaemonEvent, DaemonState
 from skewmi.deploy.endpoint.states import (
     ACCEPTS_COMMANDS,
     ENDPOINT_TABLE,

@@ -19,11 +19,11 @@ import pytest
 import xxhash
 import zenoh
 
-from skewmi.deploy import ros2_keys, ros2_types, topics
-from skewmi.deploy.channels import Request
-from skewmi.deploy.messages import TriggerReply
-from skewmi.deploy.ros2_keys import EntityKind
-from skewmi.deploy.topics import (
+from skewmi.deploy.wire import ros2_keys, ros2_types, topics
+from skewmi.deploy.wire.channels import Request
+from skewmi.deploy.wire.messages import TriggerReply
+from skewmi.deploy.wire.ros2_keys import EntityKind
+from skewmi.deploy.wire.topics import (
     YUMI_ARM,
     YUMI_DESCRIBE,
     YUMI_JOINT_STATES,
@@ -31,13 +31,13 @@ from skewmi.deploy.topics import (
     YUMI_STOP,
     YUMI_TRAJECTORY,
 )
-from skewmi.deploy.transport import Link, TransportConfig
+from skewmi.deploy.wire.transport import Link, TransportConfig
 from skewmi.errors import CommandRefusedError, ConfigurationError, TransportError
 
 PEER = """
 import sys, time
-from skewmi.deploy import topics
-from skewmi.deploy.transport import Link, TransportConfig
+from skewmi.deploy.wire import topics
+from skewmi.deploy.wire.transport import Link, TransportConfig
 with Link.open(TransportConfig.for_client(sys.argv[1]), "peer") as link:
     {body}
 """
@@ -379,9 +379,9 @@ def test_publishing_on_a_closed_link_is_a_transport_error(locator):
 
 def test_process_that_forgets_to_close_still_ends(locator):
     code = f"""
-from skewmi.deploy import topics
-from skewmi.deploy.messages import TriggerReply
-from skewmi.deploy.transport import Link, TransportConfig
+from skewmi.deploy.wire import topics
+from skewmi.deploy.wire.messages import TriggerReply
+from skewmi.deploy.wire.transport import Link, TransportConfig
 link = Link.open(TransportConfig.for_endpoint("{locator}"), "endpoint")
 link.service(topics.YUMI_STOP, lambda request: TriggerReply(True, ""))
 1 / 0

@@ -18,8 +18,8 @@ from skewmi.deploy.endpoint.validation import (
     ChunkValidator,
     ValidationRules,
 )
-from skewmi.deploy.messages import TrajectoryChunk
-from skewmi.deploy.start_motion import StartMotion
+from skewmi.deploy.motion.start_motion import StartMotion
+from skewmi.deploy.wire.messages import TrajectoryChunk
 from skewmi.errors import CommandRefusedError
 from skewmi.robot_models import limits as joint_limits
 from skewmi.robot_models import yumi

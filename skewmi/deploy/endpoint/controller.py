@@ -26,8 +26,8 @@ from skewmi.deploy.endpoint.states import (
     EndpointState,
 )
 from skewmi.deploy.endpoint.validation import BrokenStreamError, ChunkValidator
-from skewmi.deploy.messages import TrajectoryChunk, decode_chunk
 from skewmi.deploy.state_machine import StateMachine, Transition
+from skewmi.deploy.wire.messages import TrajectoryChunk, decode_chunk
 from skewmi.errors import CommandRefusedError, TransportError
 from skewmi.policy_io import Array
 

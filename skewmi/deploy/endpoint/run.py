@@ -16,7 +16,7 @@ from skewmi.deploy.endpoint.server import EndpointServer, ServerOptions
 from skewmi.deploy.endpoint.sim_twin import SimTwin
 from skewmi.deploy.endpoint.validation import ChunkValidator, LimitCheck, ValidationRules
 from skewmi.deploy.limits import ChunkChecker
-from skewmi.deploy.transport import Link, TransportConfig
+from skewmi.deploy.wire.transport import Link, TransportConfig
 from skewmi.policy_io import Array, Workspace
 from skewmi.robot_models.kinematics import ArmKinematics
 from skewmi.robot_models.limits import JointLimits

@@ -14,8 +14,7 @@ import threading
 import time
 from dataclasses import dataclass
 
-from skewmi.deploy import topics
-from skewmi.deploy.channels import Request
+from skewmi.deploy.daemon.realtime import hot_loop
 from skewmi.deploy.description import SCENE_REQUEST, EndpointDescription, limit_values
 from skewmi.deploy.endpoint.base import (
     GRID_NS,
@@ -24,7 +23,10 @@ from skewmi.deploy.endpoint.base import (
 )
 from skewmi.deploy.endpoint.controller import EndpointController, Refusal
 from skewmi.deploy.endpoint.states import ACCEPTS_COMMANDS, EndpointState
-from skewmi.deploy.messages import (
+from skewmi.deploy.state_machine import Transition
+from skewmi.deploy.wire import topics
+from skewmi.deploy.wire.channels import Request
+from skewmi.deploy.wire.messages import (
     ERROR,
     OK,
     WARN,
@@ -35,9 +37,7 @@ from skewmi.deploy.messages import (
     encode_joint_states,
     encode_status,
 )
-from skewmi.deploy.realtime import hot_loop
-from skewmi.deploy.state_machine import Transition
-from skewmi.deploy.transport import Link
+from skewmi.deploy.wire.transport import Link
 from skewmi.errors import CommandRefusedError, TransportError
 from skewmi.robot_models import yumi
 from skewmi.robot_models.limits import JointLimits

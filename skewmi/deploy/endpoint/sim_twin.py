@@ -9,7 +9,7 @@ import numpy as np
 
 from skewmi.deploy.endpoint.base import GRID_NS, BackendFaultError, Measurement
 from skewmi.deploy.endpoint.executor import PlanPoint
-from skewmi.deploy.scene_geometry import SceneGeometry
+from skewmi.deploy.recording.scene_geometry import SceneGeometry
 from skewmi.errors import CommandRefusedError, ConfigurationError, NotFoundError
 from skewmi.policy_io import Array, PolicyLayout
 from skewmi.robot_models import yumi

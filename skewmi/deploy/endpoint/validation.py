@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skewmi.deploy.endpoint.executor import PlanExecutor, PlanPoint
-from skewmi.deploy.messages import TrajectoryChunk
+from skewmi.deploy.wire.messages import TrajectoryChunk
 from skewmi.errors import CommandRefusedError, LimitViolationError
 from skewmi.policy_io import Array
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from skewmi.deploy.daemon.stream import Check
 from skewmi.deploy.guard import Guard
 from skewmi.deploy.limits import ChunkChecker, LimitUsage
-from skewmi.deploy.stream import Check
 from skewmi.policy_io import Array, Workspace
 from skewmi.robot_models.kinematics import ArmKinematics
 from skewmi.robot_models.limits import JointLimits

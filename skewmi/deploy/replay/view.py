@@ -13,9 +13,9 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from skewmi.deploy.replay_data import Run
-from skewmi.deploy.replay_scene import log_paths, log_robot, log_scene
-from skewmi.deploy.replay_style import BOX, JOINT_COLOURS, LIMIT, TIMELINE, Array, at
+from skewmi.deploy.replay.data import Run
+from skewmi.deploy.replay.scene import log_paths, log_robot, log_scene
+from skewmi.deploy.replay.style import BOX, JOINT_COLOURS, LIMIT, TIMELINE, Array, at
 
 _JOINT_LABELS = tuple(f"joint {number}" for number in (1, 2, 7, 3, 4, 5, 6))
 _PULSE_S = 0.3

@@ -6,17 +6,17 @@ import time
 
 import numpy as np
 
-from skewmi.deploy import topics
 from skewmi.deploy.description import EndpointDescription
 from skewmi.deploy.endpoint.states import EndpointState
-from skewmi.deploy.messages import (
+from skewmi.deploy.wire import topics
+from skewmi.deploy.wire.messages import (
     JointStates,
     Status,
     TriggerReply,
     decode_status,
     encode_joint_states,
 )
-from skewmi.deploy.transport import Link
+from skewmi.deploy.wire.transport import Link
 from skewmi.errors import CommandRefusedError, SkewmiError, TransportError
 from skewmi.policy_io import Array
 from skewmi.robot_models import yumi

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skewmi.deploy.messages import JointStates, encode_joint_states
-from skewmi.deploy.observer import ArmState, Observer
-from skewmi.deploy.planner import Planner
-from skewmi.deploy.robot_client import LateChunkError
-from skewmi.deploy.start_motion import StartMotion
-from skewmi.deploy.stream import CYCLE_NS, CYCLE_TICKS, ChunkStream
-from skewmi.deploy.timing import CycleTimes
+from skewmi.deploy.daemon.observer import ArmState, Observer
+from skewmi.deploy.daemon.robot_client import LateChunkError
+from skewmi.deploy.daemon.stream import CYCLE_NS, CYCLE_TICKS, ChunkStream
+from skewmi.deploy.daemon.timing import CycleTimes
+from skewmi.deploy.motion.planner import Planner
+from skewmi.deploy.motion.start_motion import StartMotion
+from skewmi.deploy.wire.messages import JointStates, encode_joint_states
 from skewmi.errors import CommandRefusedError
 from skewmi.policy_io import Array, Policy, inside_region, integrate_command
 from skewmi.robot_models.limits import JointLimits

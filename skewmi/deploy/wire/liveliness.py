@@ -13,7 +13,7 @@ from typing import Any
 
 import zenoh
 
-from skewmi.deploy import ros2_keys
+from skewmi.deploy.wire import ros2_keys
 
 
 class Graph:

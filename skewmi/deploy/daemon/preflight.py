@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from skewmi.deploy.daemon.stream import CYCLE_NS, GRID_NS
 from skewmi.deploy.description import EndpointDescription, limit_values
-from skewmi.deploy.stream import CYCLE_NS, GRID_NS
 from skewmi.errors import ConfigurationError, LayoutMismatchError
 from skewmi.policy_io import Array, PolicyLayout, Workspace
 from skewmi.robot_models import limits as joint_limits

@@ -23,8 +23,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from skewmi.deploy.recording import METADATA_NAME
-from skewmi.deploy.transport import TransportConfig
+from skewmi.deploy.recording.reader import METADATA_NAME
+from skewmi.deploy.wire.transport import TransportConfig
 from skewmi.errors import ConfigurationError, TransportError
 
 _START_TIMEOUT_S = 20.0
@@ -78,7 +78,7 @@ class Recorder:
         # Ctrl-C reaches the daemon only.
         client = replace(config, connect=config.connect or config.listen, listen=())
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "skewmi.deploy.recorder_process"],
+            [sys.executable, "-m", "skewmi.deploy.recording.recorder_process"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

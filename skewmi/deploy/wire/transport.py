@@ -32,12 +32,12 @@ from typing import Any, Self
 
 import zenoh
 
-from skewmi.deploy import messages, ros2_keys
-from skewmi.deploy.channels import Handler, LatestReader, Publisher, Sample, Service
-from skewmi.deploy.liveliness import Graph
-from skewmi.deploy.ros2_keys import QOS_BEST_EFFORT_1, QOS_RELIABLE_10, EntityKind
-from skewmi.deploy.topics import YUMI_DESCRIBE, Topic
-from skewmi.deploy.topics import Service as ServiceName
+from skewmi.deploy.wire import messages, ros2_keys
+from skewmi.deploy.wire.channels import Handler, LatestReader, Publisher, Sample, Service
+from skewmi.deploy.wire.liveliness import Graph
+from skewmi.deploy.wire.ros2_keys import QOS_BEST_EFFORT_1, QOS_RELIABLE_10, EntityKind
+from skewmi.deploy.wire.topics import YUMI_DESCRIBE, Topic
+from skewmi.deploy.wire.topics import Service as ServiceName
 from skewmi.errors import ConfigurationError, TransportError
 
 __all__ = ["DEFAULT_LOCATOR", "LatestReader", "Link", "Publisher", "Sample", "TransportConfig"]

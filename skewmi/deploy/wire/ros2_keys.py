@@ -12,8 +12,8 @@ from enum import StrEnum
 
 import xxhash
 
-from skewmi.deploy import ros2_types
-from skewmi.deploy.topics import Service, Topic
+from skewmi.deploy.wire import ros2_types
+from skewmi.deploy.wire.topics import Service, Topic
 from skewmi.errors import TransportError
 
 ADMIN_SPACE = "@ros2_lv"

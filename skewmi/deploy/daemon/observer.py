@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skewmi.deploy import topics
-from skewmi.deploy.messages import JointStates, decode_joint_states
-from skewmi.deploy.transport import LatestReader, Link, Sample
+from skewmi.deploy.wire import topics
+from skewmi.deploy.wire.messages import JointStates, decode_joint_states
+from skewmi.deploy.wire.transport import LatestReader, Link, Sample
 from skewmi.errors import SkewmiError, TransportError
 from skewmi.policy_io import TIME_FIELD, Array, PolicyLayout, assemble_observation
 from skewmi.robot_models import frames

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import ruckig
 
-from skewmi.deploy.brake import Array, Stop, approach_speed, plan_stop
+from skewmi.deploy.motion.brake import Array, Stop, approach_speed, plan_stop
 from skewmi.robot_models.limits import JointLimits
 
 HEADROOM = 0.999

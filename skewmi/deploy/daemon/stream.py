@@ -15,9 +15,9 @@ from typing import Protocol
 
 import numpy as np
 
+from skewmi.deploy.daemon.timing import CycleTimes
 from skewmi.deploy.limits import LimitUsage
-from skewmi.deploy.messages import TrajectoryChunk, encode_chunk
-from skewmi.deploy.timing import CycleTimes
+from skewmi.deploy.wire.messages import TrajectoryChunk, encode_chunk
 from skewmi.policy_io import Array
 
 GRID_NS = 4_000_000

@@ -12,7 +12,7 @@ from typing import Any
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
-from skewmi.deploy.topics import TRIGGER
+from skewmi.deploy.wire.topics import TRIGGER
 
 _TIME = (Nodetype.NAME, "builtin_interfaces/msg/Time")
 

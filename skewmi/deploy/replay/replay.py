@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
-from skewmi.deploy.recording import read_recording
-from skewmi.deploy.replay_data import Run, understand
-from skewmi.deploy.replay_view import log_run
+from skewmi.deploy.recording.reader import read_recording
+from skewmi.deploy.replay.data import Run, understand
+from skewmi.deploy.replay.view import log_run
 from skewmi.errors import ConfigurationError
 
 APPLICATION = "skewmi_replay"

@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 import qpsolvers
 
-from skewmi.deploy.brake import Array
+from skewmi.deploy.motion.brake import Array
 from skewmi.robot_models import mjcf, yumi
 
 FEEDBACK_RATE = 5.0

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from rosbags.serde.errors import SerdeError
 
-from skewmi.deploy import chunk_codec, ros2_types
-from skewmi.deploy.topics import DIAGNOSTIC_ARRAY, JOINT_STATE, JOINT_TRAJECTORY
+from skewmi.deploy.wire import chunk_codec, ros2_types
+from skewmi.deploy.wire.topics import DIAGNOSTIC_ARRAY, JOINT_STATE, JOINT_TRAJECTORY
 from skewmi.errors import TransportError
 
 Array = NDArray[np.float64]

@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from skewmi.deploy import ros2_types
-from skewmi.deploy.topics import JOINT_TRAJECTORY
+from skewmi.deploy.wire import ros2_types
+from skewmi.deploy.wire.topics import JOINT_TRAJECTORY
 
 Array = NDArray[np.float64]
 Fields = tuple[int, tuple[str, ...], NDArray[np.int64], Array, Array, Array]

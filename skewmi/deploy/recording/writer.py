@@ -11,8 +11,8 @@ from typing import Self
 from mcap.well_known import MessageEncoding, Profile, SchemaEncoding
 from mcap.writer import Writer
 
-from skewmi.deploy import ros2_types
-from skewmi.deploy.topics import Topic
+from skewmi.deploy.wire import ros2_types
+from skewmi.deploy.wire.topics import Topic
 
 CHUNK_BYTES = 32 * 1024
 """Small, since an unfinished chunk is what a kill of the writer loses: at most 60 ms of a

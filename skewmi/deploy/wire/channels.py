@@ -11,8 +11,8 @@ from typing import Any
 
 import zenoh
 
-from skewmi.deploy import messages, ros2_keys
-from skewmi.deploy.topics import Topic
+from skewmi.deploy.wire import messages, ros2_keys
+from skewmi.deploy.wire.topics import Topic
 from skewmi.errors import SkewmiError, TransportError
 
 _log = logging.getLogger(__name__)

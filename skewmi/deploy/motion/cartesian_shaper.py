@@ -25,7 +25,7 @@ from collections import deque
 import numpy as np
 import ruckig
 
-from skewmi.deploy.brake import Array, approach_speed, plan_stop
+from skewmi.deploy.motion.brake import Array, approach_speed, plan_stop
 
 FEEDBACK_GAIN = 5.0
 """k, 1/s. The shaper answers after about 50 ms; k times that is 0.25 rad of phase: no overshoot

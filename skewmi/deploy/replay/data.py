@@ -10,10 +10,10 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from skewmi.deploy import messages, topics
-from skewmi.deploy.messages import JointStates, Status, TrajectoryChunk
-from skewmi.deploy.recording import LAYOUT, LIMITS, SCENE, Recording
-from skewmi.deploy.scene_geometry import SceneGeometry
+from skewmi.deploy.recording.reader import LAYOUT, LIMITS, SCENE, Recording
+from skewmi.deploy.recording.scene_geometry import SceneGeometry
+from skewmi.deploy.wire import messages, topics
+from skewmi.deploy.wire.messages import JointStates, Status, TrajectoryChunk
 from skewmi.errors import ConfigurationError, TransportError
 from skewmi.policy_io import PolicyLayout, first_success_step, inside_region
 from skewmi.robot_models import frames, yumi

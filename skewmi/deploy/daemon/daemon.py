@@ -12,33 +12,33 @@ from collections.abc import Callable
 
 import numpy as np
 
-from skewmi.deploy import topics
-from skewmi.deploy.checks import ChunkChecks
-from skewmi.deploy.daemon_states import DAEMON_TABLE, DaemonEvent, DaemonState
-from skewmi.deploy.episode import EpisodeRunner
-from skewmi.deploy.messages import (
+from skewmi.deploy.daemon.checks import ChunkChecks
+from skewmi.deploy.daemon.episode import EpisodeRunner
+from skewmi.deploy.daemon.observer import ArmState, Observer
+from skewmi.deploy.daemon.preflight import (
+    check_agreement,
+    draw_start,
+    followed_speed,
+    planning_limits,
+)
+from skewmi.deploy.daemon.realtime import hot_loop
+from skewmi.deploy.daemon.robot_client import RobotClient, StopRequestedError
+from skewmi.deploy.daemon.states import DAEMON_TABLE, DaemonEvent, DaemonState
+from skewmi.deploy.daemon.stream import ChunkStream
+from skewmi.deploy.daemon.timing import CycleTimes
+from skewmi.deploy.motion.planner import Planner
+from skewmi.deploy.options import DeployOptions
+from skewmi.deploy.report import DeployReport, EpisodeReport
+from skewmi.deploy.state_machine import StateMachine, Transition
+from skewmi.deploy.wire import topics
+from skewmi.deploy.wire.messages import (
     ERROR,
     OK,
     WARN,
     Status,
     encode_status,
 )
-from skewmi.deploy.observer import ArmState, Observer
-from skewmi.deploy.options import DeployOptions
-from skewmi.deploy.planner import Planner
-from skewmi.deploy.preflight import (
-    check_agreement,
-    draw_start,
-    followed_speed,
-    planning_limits,
-)
-from skewmi.deploy.realtime import hot_loop
-from skewmi.deploy.report import DeployReport, EpisodeReport
-from skewmi.deploy.robot_client import RobotClient, StopRequestedError
-from skewmi.deploy.state_machine import StateMachine, Transition
-from skewmi.deploy.stream import ChunkStream
-from skewmi.deploy.timing import CycleTimes
-from skewmi.deploy.transport import Link
+from skewmi.deploy.wire.transport import Link
 from skewmi.errors import ConfigurationError, SkewmiError, TransportError
 from skewmi.policy_io import Array, Policy
 from skewmi.robot_models import yumi

@@ -1,6 +1,6 @@
 """The process behind `recorder.Recorder`: subscribes to every topic and writes an MCAP file.
 
-    python -m skewmi.deploy.recorder_process
+    python -m skewmi.deploy.recording.recorder_process
 
 Standard input: lines of JSON, first {"path", "config"}, then any {"metadata": [name, values]};
 its end ends the recording. Standard output: a line when ready, the counts at the end.
@@ -17,9 +17,9 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
 
-from skewmi.deploy.recording_writer import RecordingWriter
-from skewmi.deploy.topics import TOPICS
-from skewmi.deploy.transport import LatestReader, Link, TransportConfig
+from skewmi.deploy.recording.writer import RecordingWriter
+from skewmi.deploy.wire.topics import TOPICS
+from skewmi.deploy.wire.transport import LatestReader, Link, TransportConfig
 from skewmi.errors import SkewmiError
 
 _PERIOD_S = 0.005

@@ -1,0 +1,1 @@
+"""What runs a policy on an endpoint, cycle by cycle."""

@@ -1,0 +1,1 @@
+"""Recordings of the very messages: written beside the hot loops, read back."""
