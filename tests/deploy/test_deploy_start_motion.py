@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from skewmi.deploy.limits import ChunkChecker, LimitUsage
@@ -48,6 +48,7 @@ def straightness(q: Array) -> float:
     name=st.sampled_from(sorted(limits.PROFILES)),
     speed=st.sampled_from([1.0, 0.5, 0.1]),
 )
+@example(seed=131072, name="lab", speed=1.0)  # stopping joint by joint made the tool faster
 def test_any_motion_keeps_all_limits(seed: int, name: str, speed: float) -> None:
     rng = np.random.default_rng(seed)
     bounds = limits.profile(name).scaled(speed)

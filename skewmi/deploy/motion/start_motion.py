@@ -1,11 +1,12 @@
 """Joint motion from rest at one configuration to rest at another, as chunks.
 
-The whole motion is computed beforehand by ruckig's position interface: synchronised in phase,
-hence on a straight line in joint space, with bounded velocity, acceleration and jerk. On a
-straight line no joint passes its two end positions, so the position limits hold if both ends are
-inside. Chunk k starts at sample 5k, brings the next five samples, and brakes with the fastest
-stop from there; if nobody sends chunk k + 1 the arm stops by itself, as it does while a policy
-runs.
+The motion is a straight line in joint space, q(t) = start + s(t) (end - start), and s runs from
+0 to 1 with ruckig's position interface, within the tightest of the joints' velocity, acceleration
+and jerk limits. On a straight line no joint passes its two end positions, so the position limits
+hold if both ends are inside. Chunk k starts at sample 5k, brings the next five samples, and
+brakes with the fastest stop of s from there; if nobody sends chunk k + 1 the arm stops by itself,
+as it does while a policy runs. The stop stays on the line: joints that braked each for itself
+could make the tool faster than the motion they brake.
 """
 
 from __future__ import annotations
@@ -25,6 +26,9 @@ from skewmi.robot_models.limits import JointLimits
 
 TCP_SHARE = 0.95
 """Part of the tool's speed limit that the motion uses."""
+
+_NO_DISTANCE = 1e-9
+"""Joint travel that bounds nothing, rad."""
 
 
 class StartMotion:
@@ -60,13 +64,20 @@ class StartMotion:
                 f"cycle_dt {cycle_dt} s must be a multiple of grid_dt {grid_dt} s"
             )
         self._grid_dt = grid_dt
-        self._acceleration = HEADROOM * limits.acceleration
-        self._jerk = HEADROOM * limits.jerk
         for name, q in (("start", q_start), ("end", q_end)):
             _require_inside(name, np.asarray(q, dtype=np.float64), limits)
         start, end = np.array(q_start, dtype=np.float64), np.array(q_end, dtype=np.float64)
-        velocity = HEADROOM * limits.velocity * _tcp_scale(start, end, limits, tcp_speed)
-        self.q, self.v, self.a = self._sample(start, end, velocity)
+        self._start, self._line = start, end - start
+        distance = np.abs(self._line)
+        # Where start and end are the same, any bound will do.
+        share = np.maximum(distance, _NO_DISTANCE)
+        velocity = HEADROOM * float((limits.velocity / share).min())
+        self._velocity = velocity * _tcp_scale(start, self._line, velocity, tcp_speed)
+        self._acceleration = HEADROOM * float((limits.acceleration / share).min())
+        self._jerk = HEADROOM * float((limits.jerk / share).min())
+        self._s = self._sample()
+        self.q, self.v, self.a = self._on_line(self._s)
+        self.q[-1] = end
 
     @property
     def duration_s(self) -> float:
@@ -88,33 +99,41 @@ class StartMotion:
             raise ConfigurationError(f"cycle is {cycle}; it must not be negative")
         first = cycle * self.samples_per_cycle
         rows = np.minimum(np.arange(first, first + self.samples_per_cycle + 1), len(self.q) - 1)
-        q, v, a = self.q[rows], self.v[rows], self.a[rows]
-        stop = plan_stop(q[-1], v[-1], a[-1], self._acceleration, self._jerk)
-        tail_q, tail_v, tail_a = stop.sample(self._grid_dt)
+        s, rate, acceleration = self._s[rows[-1]][:, None]
+        stop = plan_stop(
+            s, rate, acceleration, np.array([self._acceleration]), np.array([self._jerk])
+        )
+        q, v, a = self._on_line(np.column_stack(stop.sample(self._grid_dt)))
+        if rows[-1] == len(self.q) - 1:
+            q[:] = self.q[-1]
         return PlannedChunk(
-            np.concatenate([q, tail_q]), np.concatenate([v, tail_v]), np.concatenate([a, tail_a])
+            np.concatenate([self.q[rows], q]),
+            np.concatenate([self.v[rows], v]),
+            np.concatenate([self.a[rows], a]),
         )
 
     def chunks(self) -> Iterator[PlannedChunk]:
         """All chunks in order."""
         return (self.chunk(cycle) for cycle in range(self.cycles))
 
-    def _sample(self, start: Array, end: Array, velocity: Array) -> tuple[Array, Array, Array]:
-        joints = len(start)
-        request = ruckig.InputParameter(joints)
-        request.current_position = start.tolist()
-        request.target_position = end.tolist()
-        request.max_velocity = velocity.tolist()
-        request.max_acceleration = self._acceleration.tolist()
-        request.max_jerk = self._jerk.tolist()
-        request.synchronization = ruckig.Synchronization.Phase
-        trajectory = ruckig.Trajectory(joints)
-        ruckig.Ruckig(joints).calculate(request, trajectory)
+    def _sample(self) -> Array:
+        """s, ds/dt, d2s/dt2 on the grid, from rest at 0 to rest at 1. Shape (n, 3)."""
+        request = ruckig.InputParameter(1)
+        request.current_position, request.target_position = [0.0], [1.0]
+        request.max_velocity = [self._velocity]
+        request.max_acceleration = [self._acceleration]
+        request.max_jerk = [self._jerk]
+        trajectory = ruckig.Trajectory(1)
+        ruckig.Ruckig(1).calculate(request, trajectory)
         n = int(np.ceil(trajectory.duration / self._grid_dt - 1e-9)) + 1
-        samples = np.array([trajectory.at_time(k * self._grid_dt) for k in range(n)])
-        q, v, a = (np.ascontiguousarray(samples[:, i]) for i in range(3))
-        q[-1], v[-1], a[-1] = end, 0.0, 0.0
-        return q, v, a
+        samples = np.array([trajectory.at_time(k * self._grid_dt) for k in range(n)])[..., 0]
+        samples[-1] = 1.0, 0.0, 0.0
+        return samples
+
+    def _on_line(self, s: Array) -> tuple[Array, Array, Array]:
+        """Joint positions, velocities, accelerations of rows (s, ds/dt, d2s/dt2); each (n, 7)."""
+        q = self._start + s[:, :1] * self._line
+        return q, s[:, 1:2] * self._line, s[:, 2:3] * self._line
 
 
 def _require_inside(name: str, q: Array, limits: JointLimits) -> None:
@@ -133,14 +152,15 @@ def _require_inside(name: str, q: Array, limits: JointLimits) -> None:
         )
 
 
-def _tcp_scale(start: Array, end: Array, limits: JointLimits, tcp_speed: float) -> float:
-    """Factor on the joint velocities that keeps the tool below its speed limit on the line.
+def _tcp_scale(start: Array, line: Array, rate: float, tcp_speed: float) -> float:
+    """Factor on ds/dt that keeps the tool, which moves with |J line| ds/dt, below its limit.
 
-    In phase, all joints move with ds/dt times (end - start); the joint that needs longest at full
-    speed bounds ds/dt, and the tool moves with |J (end - start)| ds/dt.
+    Args:
+        start: rad. Shape (7,).
+        line: From start to end, rad. Shape (7,).
+        rate: Largest ds/dt, 1/s.
+        tcp_speed: Limit, m/s.
     """
-    line = end - start
-    rate = 1.0 / max(float((np.abs(line) / limits.velocity).max()), 1e-9)
     s = np.linspace(0.0, 1.0, 101)[:, None]
     jacobian = ArmKinematics("right").jacobian(start + s * line)[:, :3]
     fastest = float(np.linalg.norm(jacobian @ line, axis=1).max()) * rate
