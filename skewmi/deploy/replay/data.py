@@ -47,6 +47,10 @@ class Motion:
         return np.asarray(position + frames.BASE_IN_WORLD)
 
 
+_REGULAR_S = 0.010
+"""Commanded samples closer than this belong to one uninterrupted motion, s."""
+
+
 @dataclass(frozen=True)
 class Series:
     """Named numbers over time."""
@@ -159,9 +163,29 @@ def _commanded(chunks: Sequence[TrajectoryChunk], origin_ns: int) -> Motion:
     q, v, a = np.concatenate(parts, axis=1)
     # An interrupted stream resumes with stamps beyond the last chunk's end: no jerk across it.
     step_s = np.diff(time_ns, prepend=time_ns[0]) / _NS_PER_S
-    regular = (step_s > 0) & (step_s < 0.010)
+    regular = (step_s > 0) & (step_s < _REGULAR_S)
     jerk = np.diff(a, axis=0, prepend=a[:1]) / np.where(regular, step_s, np.inf)[:, None]
     return Motion((time_ns - origin_ns) / _NS_PER_S, q, v, a, jerk)
+
+
+def tracking_error(run: Run) -> tuple[Array, Array]:
+    """Commanded minus measured hand, while a command is in force.
+
+    Between runs of chunks nothing is commanded, and a simulated arm may be put elsewhere.
+
+    Returns:
+        Times, s, shape (n,); differences in world, m, shape (n, 3).
+    """
+    commanded, measured = run.commanded, run.measured
+    if not (len(commanded.time_s) and len(measured.time_s)):
+        return np.zeros(0), np.zeros((0, 3))
+    after = np.searchsorted(commanded.time_s, measured.time_s)
+    last = len(commanded.time_s) - 1
+    gap = commanded.time_s[np.minimum(after, last)] - commanded.time_s[np.maximum(after - 1, 0)]
+    during = (after > 0) & (after <= last) & (gap < _REGULAR_S)
+    time_s, hand = measured.time_s[during], commanded.hand_w
+    at_measured = [np.interp(time_s, commanded.time_s, hand[:, axis]) for axis in range(3)]
+    return time_s, np.column_stack(at_measured) - measured.hand_w[during]
 
 
 def _measured(joints: Sequence[JointStates], names: tuple[str, ...], origin_ns: int) -> Motion:

@@ -11,7 +11,7 @@ import numpy as np
 import rerun as rr
 
 from skewmi.deploy.recording.reader import read_recording
-from skewmi.deploy.replay.data import Run, understand
+from skewmi.deploy.replay.data import Run, tracking_error, understand
 from skewmi.deploy.replay.view import log_run
 from skewmi.errors import ConfigurationError
 
@@ -95,16 +95,8 @@ def _report(run: Run, counts: dict[str, int], complete: bool) -> ReplayReport:
     for name, values in (("velocity", motion.v), ("acceleration", motion.a), ("jerk", motion.jerk)):
         if name in limits and len(values):
             use[name] = float(np.abs(values / limits[name]).max())
-    error_mm = None
-    if len(motion.time_s) and len(run.measured.time_s):
-        hand = motion.hand_w
-        times = run.measured.time_s
-        during = (times >= motion.time_s[0]) & (times <= motion.time_s[-1])
-        interpolated = np.column_stack(
-            [np.interp(times, motion.time_s, hand[:, i]) for i in range(3)]
-        )
-        distances = np.linalg.norm(interpolated - run.measured.hand_w, axis=1)[during]
-        error_mm = float(1e3 * distances.max()) if len(distances) else None
+    _, error = tracking_error(run)
+    error_mm = 1e3 * float(np.linalg.norm(error, axis=1).max()) if len(error) else None
     return ReplayReport(
         duration_s=run.duration_s,
         messages=counts,

@@ -13,7 +13,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from skewmi.deploy.replay.data import Run
+from skewmi.deploy.replay.data import Run, tracking_error
 from skewmi.deploy.replay.scene import log_paths, log_robot, log_scene
 from skewmi.deploy.replay.style import BOX, JOINT_COLOURS, LIMIT, TIMELINE, Array, at
 
@@ -163,14 +163,9 @@ def _log_hand(recording: Any, run: Run) -> None:
                 recording, f"/hand/{name}/in_box", motion.time_s, inside, ("x", "y", "z"), colours
             )
             _log_bounds(recording, f"/hand/{name}/box", motion.time_s, (-1.0, 1.0))
-    if len(run.commanded.time_s) and len(run.measured.time_s):
-        commanded = run.commanded.hand_w
-        time_s = run.measured.time_s
-        at_measured = np.column_stack(
-            [np.interp(time_s, run.commanded.time_s, commanded[:, i]) for i in range(3)]
-        )
-        error_mm = 1e3 * (at_measured - run.measured.hand_w)
-        _log_curves(recording, "/hand/error/mm", time_s, error_mm, ("x", "y", "z"), colours)
+    time_s, error = tracking_error(run)
+    if len(time_s):
+        _log_curves(recording, "/hand/error/mm", time_s, 1e3 * error, ("x", "y", "z"), colours)
 
 
 def _log_policy(recording: Any, run: Run) -> None:
