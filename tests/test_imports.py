@@ -20,7 +20,6 @@ FORBIDDEN: dict[str, tuple[str, ...]] = {
         "skewmi.train",
         "skewmi.deploy",
     ),
-    "skewmi.calibration": ("torch", "skewmi.sim", "skewmi.train", "skewmi.deploy"),
     "skewmi.sim": ("torch", "zenoh", "skewmi.train", "skewmi.export", "skewmi.deploy"),
     "skewmi.train": (
         "mujoco",
