@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from skewmi import policies
 from skewmi.batch_env import BatchEnv
 from skewmi.errors import ConfigurationError, NotFoundError
 from skewmi.policy_io import Policy, PolicyLayout
@@ -58,10 +59,11 @@ def load_policy_from(path: Path, which: Which) -> Policy:
     """
     if path.is_dir():
         return load_run(path, which)
-    if not path.exists():
+    if not policies.locate(path).exists():
+        names = ", ".join(policies.bundled()) or "none"
         raise NotFoundError(
-            f"{path} does not exist; give a run directory of skewmi train or an ONNX file of "
-            "skewmi export-onnx"
+            f"{path} does not exist; give a run directory of skewmi train, an ONNX file of "
+            f"skewmi export-onnx, or the name of a bundled policy ({names})"
         )
     from skewmi.deploy.policy import OnnxPolicy
 

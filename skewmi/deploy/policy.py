@@ -10,7 +10,7 @@ import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
-from skewmi import policy_file
+from skewmi import policies, policy_file
 from skewmi.errors import LayoutMismatchError, PolicyFileError
 from skewmi.policy_io import Array, PolicyLayout
 
@@ -53,7 +53,7 @@ class OnnxPolicy:
         """Read and check a policy file.
 
         Args:
-            path: Written by `skewmi export-onnx`.
+            path: Written by `skewmi export-onnx`, or the name of a bundled policy.
 
         Raises:
             PolicyFileError: The file is missing, damaged, not a policy of this format, or its
@@ -61,7 +61,7 @@ class OnnxPolicy:
             LayoutMismatchError: Its parts contradict each other: layout and hash, or layout
                 and the graph's shapes.
         """
-        path = Path(path)
+        path = policies.locate(path)
         data = _read(path)
         # First of all, so that no damaged byte ever reaches a parser.
         policy_file.check_seal(data, str(path))
