@@ -1,7 +1,8 @@
 """Success rate of a run directory or an ONNX file in the batched simulation.
 
 An episode succeeds when its state stays inside the task's reward region for as many consecutive
-steps as the task demands. Prints the rate with its 95 % Wilson interval.
+steps as the task demands. Prints the rate with its 95 % Wilson interval and, where the task
+measures it, how hard the robot touched things and how well it followed its commands.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from skewmi.cli.contact import contact_text, recorder_for, summarise_contact
 from skewmi.cli.policies import Which, load_policy_from, make_env, progress_bar, task_options
 from skewmi.errors import ConfigurationError, LayoutMismatchError
 from skewmi.export.agents import RandomAgent, ZeroAgent
@@ -70,9 +72,12 @@ def run_evaluate(options: EvaluateCommand) -> int:
     if policy is None:
         zero = options.agent == "zero"
         policy = ZeroAgent(env.layout) if zero else RandomAgent(env.layout, options.seed)
+    contact = recorder_for(env)
     started = time.perf_counter()
     with progress_bar(f"evaluating {task}") as progress:
-        episodes = run_episodes(policy, env, options.episodes, options.seed, progress=progress)
+        episodes = run_episodes(
+            policy, env, options.episodes, options.seed, progress=progress, observer=contact
+        )
     wall = time.perf_counter() - started
     figures: dict[str, Any] = {
         **summarise(episodes),
@@ -82,6 +87,8 @@ def run_evaluate(options: EvaluateCommand) -> int:
         "num_envs": env.num_envs,
         "wall_time_s": wall,
     }
+    if contact is not None:
+        figures["contact"] = summarise_contact(contact.values)
     print(json.dumps(figures, indent=2) if options.json else as_text(figures))
     return 0
 
@@ -105,4 +112,6 @@ def as_text(figures: dict[str, Any]) -> str:
         f"    {name:<14} {value['median']:10.4f} {value['min']:10.4f} to {value['max']:.4f}"
         for name, value in figures["final_state"].items()
     ]
+    if "contact" in figures:
+        lines += contact_text(figures["contact"])
     return "\n".join(lines)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from skewmi.batch_env import BatchEnv
+from skewmi.batch_env import BatchEnv, StepResult
 from skewmi.errors import ConfigurationError
 from skewmi.policy_io import (
     Array,
@@ -21,6 +21,10 @@ from skewmi.policy_io import (
     first_success_step,
     require_same_layout,
 )
+
+Observer = Callable[[StepResult, int], None]
+"""Called after every step with its result and how many of the environments count, the first ones:
+all but in the last round. Whatever else it wants to know it asks the environment itself."""
 
 Z_95 = 1.959963984540054
 """The 97.5 % point of the normal distribution: two-sided 95 % intervals."""
@@ -62,6 +66,7 @@ def run_episodes(
     seed: int,
     *,
     progress: Callable[[int, int], None] | None = None,
+    observer: Observer | None = None,
 ) -> Episodes:
     """Run whole episodes, `env.num_envs` at a time; the surplus of the last round is dropped.
 
@@ -73,6 +78,7 @@ def run_episodes(
         episodes: How many to run.
         seed: Of the environment's random streams.
         progress: Called with (steps done, steps in all) after every step.
+        observer: See `Observer`; it must not change the environment.
 
     Raises:
         ConfigurationError: `episodes` is below 1.
@@ -87,6 +93,7 @@ def run_episodes(
     for round_index in range(rounds):
         observation = env.reset(seed) if round_index == 0 else env.reset()
         policy.reset()
+        counted = min(env.num_envs, episodes - round_index * env.num_envs)
         seen, taken, inside = [], [], []
         for step in range(n_steps):
             action = policy.act(observation)
@@ -95,6 +102,8 @@ def run_episodes(
             taken.append(action)
             inside.append(result.success)
             observation = result.observation
+            if observer is not None:
+                observer(result, counted)
             if progress is not None:
                 progress(round_index * n_steps + step + 1, rounds * n_steps)
         runs.append((np.stack(seen), np.stack(taken), np.stack(inside), observation))

@@ -61,6 +61,7 @@ def test_baselines_are_reproducible_and_differ(capfd: pytest.CaptureFixture[str]
     assert random[0] == random[1]
     assert random[0]["final_state"] != random[2]["final_state"]
     still = figures_of(["--agent", "zero", *common], capfd)
+    assert "contact" not in still
     assert still["agent"] == "zero"
     assert still["successes"] == 0
     assert still["final_state"]["x"]["max"] == still["final_state"]["x"]["min"] == 0.0
@@ -72,6 +73,9 @@ def test_zero_agent_stands_still_with_the_arm(capfd: pytest.CaptureFixture[str])
     assert figures["successes"] == 0
     assert figures["final_state"]["button_depth"]["max"] < 1e-3
     assert figures["final_state"]["lid_angle"]["max"] < 0.05
+    contact = figures["contact"]
+    assert contact["share_of_episodes_gentle"] == 1.0
+    assert contact["hand_force_peak_n"]["max"] == 0.0
 
 
 def test_text_says_rate_and_interval(capfd: pytest.CaptureFixture[str]) -> None:

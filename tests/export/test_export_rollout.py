@@ -77,6 +77,23 @@ def test_rounds_differ_surplus_is_dropped_and_the_policy_is_reset() -> None:
     assert len(calls) == 400
 
 
+def test_observer_sees_every_step_that_counts_and_no_surplus() -> None:
+    env = tasks.make_batch("point_maze", 4, start_noise=0.3)
+    seen: list[Array] = []
+    episodes = run_episodes(
+        RandomAgent(env.layout, seed=1),
+        env,
+        6,
+        seed=5,
+        observer=lambda result, counted: seen.append(result.observation[:counted]),
+    )
+    steps = env.layout.episode_steps
+    assert [len(x) for x in seen] == [4] * steps + [2] * steps
+    for columns, rows in ((slice(0, 4), seen[:steps]), (slice(4, 6), seen[steps:])):
+        np.testing.assert_array_equal(np.stack(rows[:-1]), episodes.observation[1:, columns])
+        np.testing.assert_array_equal(rows[-1], episodes.final_observation[columns])
+
+
 def test_guided_walk_succeeds_and_standing_still_does_not() -> None:
     env = tasks.make_batch("point_maze", 5, start_noise=0.3)
     walked = run_episodes(Guide(env.layout), env, 5, 0)
