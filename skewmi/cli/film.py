@@ -212,7 +212,8 @@ def caption(names: tuple[str, ...], values: Array, seconds: float) -> str:
     shown = dict(zip(names, values, strict=True))
     parts = [f"{seconds:4.1f} s"]
     if "lid_angle" in shown:
-        parts.append(f"lid {np.rad2deg(shown['lid_angle']):3.0f} deg")
+        # A shut lid rests a hair below zero on its stop: show 0, not -0.
+        parts.append(f"lid {abs(round(np.rad2deg(shown['lid_angle']))):3d} deg")
     if "button_depth" in shown:
-        parts.append(f"button {1e3 * shown['button_depth']:2.0f} mm")
+        parts.append(f"button {abs(round(1e3 * shown['button_depth'])):2d} mm")
     return "  ".join(parts)
