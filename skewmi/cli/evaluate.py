@@ -16,7 +16,14 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from skewmi.cli.contact import contact_text, recorder_for, summarise_contact
-from skewmi.cli.policies import Which, load_policy_from, make_env, progress_bar, task_options
+from skewmi.cli.policies import (
+    Which,
+    load_policy_from,
+    make_env,
+    progress_bar,
+    task_options,
+    twin_option,
+)
 from skewmi.errors import ConfigurationError, LayoutMismatchError
 from skewmi.export.agents import RandomAgent, ZeroAgent
 from skewmi.export.rollout import run_episodes, summarise
@@ -43,6 +50,8 @@ class EvaluateCommand:
     """Environments stepped together; 0: as many as episodes, at most 50."""
     num_threads: int = 0
     """Threads that step them; 0: automatic."""
+    twin: str | None = None
+    """How robot and scene differ from the nominal ones: a twin file (YAML), or `randomised`."""
     option: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """Option of the task, NAME=VALUE with VALUE in JSON, as start_noise=0.3; may be repeated."""
     json: bool = False
@@ -66,6 +75,7 @@ def run_evaluate(options: EvaluateCommand) -> int:
             f"{options.policy} was trained on task {policy.layout.task!r}, --task is {task!r}"
         )
     env_options = task_options(task, policy.layout if policy is not None else None, options.option)
+    env_options |= twin_option(options.twin)
     env = make_env(
         task, options.num_envs, options.episodes, options.num_threads, options.seed, env_options
     )
@@ -84,6 +94,7 @@ def run_evaluate(options: EvaluateCommand) -> int:
         "task": task,
         "agent": options.agent if options.agent != "policy" else str(options.policy),
         "seed": options.seed,
+        "twin": options.twin or "nominal",
         "num_envs": env.num_envs,
         "wall_time_s": wall,
     }
@@ -97,7 +108,7 @@ def as_text(figures: dict[str, Any]) -> str:
     """The figures of `run_evaluate` for people."""
     low, high = figures["success_rate_interval_95"]
     lines = [
-        f"{figures['task']}, {figures['agent']}, seed {figures['seed']}:",
+        f"{figures['task']}, {figures['agent']}, seed {figures['seed']}, {figures['twin']} twin:",
         f"  {figures['successes']} of {figures['episodes']} episodes succeeded: "
         f"{figures['success_rate']:.1%} (95 % interval {low:.1%} to {high:.1%})",
     ]

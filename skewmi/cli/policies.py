@@ -13,6 +13,7 @@ from skewmi import policies
 from skewmi.batch_env import BatchEnv
 from skewmi.errors import ConfigurationError, NotFoundError
 from skewmi.policy_io import Policy, PolicyLayout
+from skewmi.sim import twin as twins
 
 if TYPE_CHECKING:
     from skewmi.train.policy import TorchPolicy
@@ -27,7 +28,7 @@ _LAYOUT_CHOICES: tuple[dict[str, Any], ...] = (
 )
 """Options of tasks that change their layout."""
 
-_OWN_FLAGS = ("num_envs", "num_threads", "seed")
+_OWN_FLAGS = ("num_envs", "num_threads", "seed", "twin")
 
 MAX_BATCH = 50
 """Environments stepped together by default: enough to keep the threads busy, little memory."""
@@ -105,6 +106,20 @@ def task_options(task: str, wanted: PolicyLayout | None, given: tuple[str, ...])
         except ValueError as error:
             raise ConfigurationError(f"task option {pair!r}: {error}") from error
     return options
+
+
+def twin_option(twin: str | None) -> dict[str, str]:
+    """The task option that a `--twin` means: what the file says, so that it may change later.
+
+    Args:
+        twin: File, or name of a bundled one; None for the nominal twin, which is no option.
+
+    Raises:
+        NotFoundError: There is no such file.
+        ConfigurationError: A key or value is not allowed.
+    """
+    found = twins.resolve(twin)
+    return {} if found.is_nominal else {"twin": found.to_json()}
 
 
 def make_env(

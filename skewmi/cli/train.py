@@ -11,6 +11,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+from skewmi.cli.policies import twin_option
+from skewmi.errors import ConfigurationError
 from skewmi.sim import tasks
 from skewmi.train import run
 from skewmi.train.checkpoint import read_run_header
@@ -42,6 +44,9 @@ class TrainCommand:
     rewarded. Without --steps and --minutes this is the sensible way to end."""
     num_envs: int | None = None
     """Environments stepped together; default: the preset's."""
+    twin: str | None = None
+    """How robot and scene differ from the nominal ones: a twin file (YAML), or `randomised`. What
+    it says is saved with the run, and --resume keeps it."""
     threads: int = 1
     """Threads of the tensor library and of the simulation."""
     device: Literal["cpu", "cuda"] = "cpu"
@@ -57,11 +62,17 @@ def resolve(options: TrainCommand) -> TrainConfig:
 
     Raises:
         NotFoundError: No such task or preset.
-        ConfigurationError: A value is not allowed.
+        ConfigurationError: A value is not allowed, or --twin is not the resumed run's.
         CheckpointError: --resume without --task, and there is no run.
     """
     if options.resume and (options.run_dir / "config.json").exists():
         config, _ = read_run_header(options.run_dir)
+        recorded = {"twin": dict(config.task_options).get("twin")}
+        if options.twin is not None and (twin_option(options.twin) or {"twin": None}) != recorded:
+            raise ConfigurationError(
+                f"--twin {options.twin} is not what the run in {options.run_dir} was started with; "
+                "leave --twin out to continue it, or use another directory"
+            )
     elif options.task is None:
         config, _ = read_run_header(options.run_dir)  # says that there is no run here
     else:
@@ -71,6 +82,8 @@ def resolve(options: TrainCommand) -> TrainConfig:
             device=options.device,
             threads=options.threads,
         )
+        extra = tuple(twin_option(options.twin).items())
+        config = replace(config, task_options=config.task_options + extra)
         if options.num_envs is not None:
             evaluation = min(config.rollout.evaluation_envs, max(options.num_envs - 1, 0))
             rollout = replace(config.rollout, num_envs=options.num_envs, evaluation_envs=evaluation)

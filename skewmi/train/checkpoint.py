@@ -197,6 +197,7 @@ def load_policy(run_dir: Path, which: str = "latest") -> TorchPolicy:
             "method": "skew-explore",
             "preset": config.preset,
             "seed": config.seed,
+            "task_options": dict(config.task_options),
             "environment_steps": checkpoint.state["step"],
             "updates": checkpoint.state["updates"],
             "evaluation_share": checkpoint.state["evaluation_share"],

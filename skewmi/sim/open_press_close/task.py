@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, cast
 
 import mujoco
@@ -31,8 +32,18 @@ from skewmi.sim.open_press_close.scene import (
     hand_rotation,
     workspace_of,
 )
+from skewmi.sim.open_press_close.twin_fields import (
+    TwinSensors,
+    delay_substeps,
+    model_fields,
+    needs_set_const,
+)
+from skewmi.sim.twin import Twin, TwinSample, resolve
 
 layout = definition.make_layout
+
+_TWIN_STREAM = 1
+"""Keeps the twin's random stream apart from that of the start positions."""
 
 
 @dataclass(frozen=True)
@@ -66,8 +77,10 @@ class OpenPressCloseBatch:
         num_envs, layout: See `BatchEnv`.
         scene: Models and addresses.
         batch: The simulations; runs `scene.physics_model`.
-        servo_targets: Controls at every substep of the last step, overwritten by the next.
-            Shape (num_envs, substeps, nu).
+        servo_targets: Controls at every substep of the last step, delayed as the twin says,
+            overwritten by the next. Shape (num_envs, substeps, nu).
+        twin: How the simulations differ from the nominal one.
+        twin_sample: What was drawn at the last reset; None for the nominal twin.
     """
 
     num_envs: int
@@ -83,20 +96,26 @@ class OpenPressCloseBatch:
         time_input: bool = False,
         randomization: Randomization | None = None,
         servo_parameters: servo.ServoParameters = SERVO,
+        twin: Twin | str | Path | None = None,
     ) -> None:
         """Make the environment; call `reset` before `step`.
 
         Args:
             num_envs: How many robots.
             num_threads: Threads that step them, 0 for all cores. Results do not depend on it.
-            seed: Of the start positions.
+            seed: Of the start positions and of the twin's values.
             gripper_action: Whether the fingers' speed is a fourth action.
             time_input: Whether the observation ends with step index / episode steps.
             randomization: What differs between episodes; the default varies the hand's start.
             servo_parameters: Of the arm's servos.
+            twin: How robot and scene differ from the nominal ones: a twin, its file, or the name
+                of a bundled one. Its values are drawn at each reset from a stream of their own:
+                the start positions are those of the nominal twin. Reward and success are of the
+                true state; the observation is what its sensors say.
 
         Raises:
-            ConfigurationError: A number is out of its range.
+            ConfigurationError: A number is out of its range, or the twin is not valid.
+            NotFoundError: There is no such twin file.
         """
         if num_threads < 0:
             raise ConfigurationError(
@@ -109,7 +128,9 @@ class OpenPressCloseBatch:
         self._workspace = workspace_of(self.layout)
         self._hand_rotation = hand_rotation(self._workspace)
         self._randomization = Randomization() if randomization is None else randomization
-        self._rng = np.random.default_rng(seed)
+        self.twin = resolve(twin)
+        self.twin_sample: TwinSample | None = None
+        self._seed_streams(seed)
         self._step_index = -1
         self._command_position_w = np.empty((self.num_envs, 3))
         self._command_q = np.empty((self.num_envs, 7))
@@ -129,20 +150,46 @@ class OpenPressCloseBatch:
             First observation. Shape (num_envs, observation_dim).
         """
         if seed is not None:
-            self._rng = np.random.default_rng(seed)
+            self._seed_streams(seed)
         starts = self._randomization.sample_starts(self.layout, self.num_envs, self._rng)
         qpos = self.scene.start_positions(self.layout, starts)
         self._command_position_w = starts
         self._command_q = qpos[:, self.scene.arm_qpos]
         self._command_opening = np.full(self.num_envs, self._workspace.gripper_opening)
+        controls = self.scene.controls(self._command_q, self._command_opening)
+        if not self.twin.is_nominal:
+            self._draw_twin(qpos, controls)
         self.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
         self.batch.bind("qpos")[:] = qpos
-        self.batch.bind("ctrl")[:] = self.scene.controls(self._command_q, self._command_opening)
+        self.batch.bind("ctrl")[:] = controls
         self.batch.warning[:] = 0
         self._record["sensordata"][:] = 0.0
         self._step_index = 0
         self._read()
-        return self._observe()
+        return self._observe()[0]
+
+    def _seed_streams(self, seed: int) -> None:
+        self._rng = np.random.default_rng(seed)
+        self._twin_rng = np.random.default_rng([seed, self.twin.seed, _TWIN_STREAM])
+
+    def _draw_twin(self, qpos: Array, controls: Array) -> None:
+        """Draw new values; write them into the models and into the start given."""
+        sample = self.twin.sample(self._twin_rng, self.num_envs)
+        fields = model_fields(self.scene.physics_model, sample)
+        for name, values in fields.items():
+            self.batch.expand(name)[:] = values
+        if needs_set_const(fields):
+            self.batch.set_const()
+        self.twin_sample = sample
+        self._sensors = TwinSensors(self.twin, sample)
+        self._opening_error = sample.get("gripper.opening_error")
+        qpos[:, self.scene.finger_qpos] += self._opening_error[:, None]
+        controls[:, self.scene.finger_ctrl] += self._opening_error
+        # Row `substeps` + k of the path is substep k of the step to come.
+        steps = definition.SUBSTEPS
+        self._path = np.repeat(controls[:, None, :], 2 * steps, axis=1)
+        rows = np.arange(steps, 2 * steps) - delay_substeps(sample)[:, None]
+        self._path_rows = rows + 2 * steps * np.arange(self.num_envs)[:, None]
 
     def step(self, action: Array) -> StepResult:
         """Apply actions in [-1, 1], clipped here. Shape (num_envs, action_dim).
@@ -165,8 +212,8 @@ class OpenPressCloseBatch:
         self._check_physics()
         self._step_index += 1
         self._read()
-        observation = self._observe()
-        inside = inside_region(self.layout, observation)
+        observation, truth = self._observe()
+        inside = inside_region(self.layout, truth)
         return StepResult(
             observation=observation,
             reward=inside.astype(np.float64),
@@ -191,6 +238,17 @@ class OpenPressCloseBatch:
         last = self.scene.controls(self._command_q, self._command_opening, velocity)
         np.multiply((last - first)[:, None, :], self._fraction, out=self.servo_targets)
         self.servo_targets += first[:, None, :]
+        if self.twin_sample is not None:
+            self._delay_targets()
+
+    def _delay_targets(self) -> None:
+        """Replace the targets by those that the servos have got to, fingers off by their error."""
+        steps = definition.SUBSTEPS
+        self.servo_targets[:, :, self.scene.finger_ctrl] += self._opening_error[:, None]
+        self._path[:, :steps] = self._path[:, steps:]
+        self._path[:, steps:] = self.servo_targets
+        rows = self._path.reshape(-1, self._path.shape[-1])
+        np.take(rows, self._path_rows, axis=0, out=self.servo_targets, mode="clip")
 
     def _check_physics(self) -> None:
         bad = np.flatnonzero(self.batch.warning.any(axis=1))
@@ -204,12 +262,25 @@ class OpenPressCloseBatch:
 
     def _read(self) -> None:
         self._qpos = self.batch.bind("qpos")
-        self._hand_position_w, self._hand_rotation_w = self.scene.hand_pose(self._qpos)
+        self._errors = None
+        measured = self._qpos
+        if self.twin_sample is not None and not self._sensors.ideal:
+            self._errors = self._sensors.errors(self._twin_rng)
+            measured = measured.copy()
+            measured[:, self.scene.arm_qpos] += self._errors[0]
+        self._hand_position_w, _ = self.scene.hand_pose(measured)
 
-    def _observe(self) -> Array:
+    def _observe(self) -> tuple[Array, Array]:
+        """What the sensors say, and the same with lid and button as they are."""
         values: dict[str, Any] = self.scene.observation_values(self._qpos, self._hand_position_w)
         values[TIME_FIELD] = self._step_index / self.layout.episode_steps
-        return assemble_observation(self.layout, values)
+        truth = assemble_observation(self.layout, values)
+        if self._errors is None:
+            return truth, truth
+        _, lid, button = self._errors
+        values["lid_angle"] = values["lid_angle"] + lid
+        values["button_depth"] = values["button_depth"] + button
+        return assemble_observation(self.layout, values), truth
 
     def compute_reward(self, state: Array) -> Array:
         """1.0 for states in the reward region, else 0.0. Shape (..., >= state_dim) -> (...)."""
@@ -225,16 +296,15 @@ class OpenPressCloseBatch:
         on_hand = sensor[..., self.scene.hand_force]
         on_arm = sensor[..., self.scene.arm_force] - on_hand
         hand_force = np.linalg.norm(on_hand, axis=-1)
-        relative = np.einsum("ji,njk->nik", self._hand_rotation, self._hand_rotation_w)
+        hand_position_w, hand_rotation_w = self.scene.hand_pose(self._qpos)
+        relative = np.einsum("ji,njk->nik", self._hand_rotation, hand_rotation_w)
         cosine = (np.trace(relative, axis1=1, axis2=2) - 1.0) / 2.0
         return Diagnostics(
             hand_force_peak=hand_force.max(axis=1),
             hand_force_mean=hand_force.mean(axis=1),
             arm_force_peak=np.linalg.norm(on_arm, axis=-1).max(axis=1),
             hand_tilt=np.arccos(np.clip(cosine, -1.0, 1.0)),
-            hand_to_command=np.linalg.norm(
-                self._command_position_w - self._hand_position_w, axis=-1
-            ),
+            hand_to_command=np.linalg.norm(self._command_position_w - hand_position_w, axis=-1),
         )
 
     def command(self) -> tuple[Array, Array]:
@@ -246,8 +316,11 @@ class OpenPressCloseBatch:
         return self._command_position_w.copy(), self._command_q.copy()
 
     def random_state(self) -> dict[str, object]:
-        """JSON-serialisable state of the random stream."""
-        return {"generator": self._rng.bit_generator.state}
+        """JSON-serialisable state of the random streams."""
+        state: dict[str, object] = {"generator": self._rng.bit_generator.state}
+        if not self.twin.is_nominal:
+            state["twin"] = self._twin_rng.bit_generator.state
+        return state
 
     def set_random_state(self, state: dict[str, object]) -> None:
         """Inverse of `random_state`.
@@ -258,9 +331,12 @@ class OpenPressCloseBatch:
         try:
             rng = np.random.default_rng()
             rng.bit_generator.state = cast(Mapping[str, Any], state["generator"])
+            twin_rng = np.random.default_rng()
+            if not self.twin.is_nominal:
+                twin_rng.bit_generator.state = cast(Mapping[str, Any], state["twin"])
         except (KeyError, TypeError, ValueError) as error:
             raise ConfigurationError(f"not a random state of open_press_close: {error}") from error
-        self._rng = rng
+        self._rng, self._twin_rng = rng, twin_rng
 
 
 def make_batch(
@@ -271,6 +347,7 @@ def make_batch(
     gripper_action: bool = False,
     time_input: bool = False,
     randomization: Randomization | None = None,
+    twin: Twin | str | Path | None = None,
 ) -> OpenPressCloseBatch:
     """Make the batched environment; arguments as `OpenPressCloseBatch`."""
     return OpenPressCloseBatch(
@@ -280,4 +357,5 @@ def make_batch(
         gripper_action=gripper_action,
         time_input=time_input,
         randomization=randomization,
+        twin=twin,
     )
