@@ -1,8 +1,8 @@
 """Batched forward kinematics, Jacobian and inverse kinematics of one YuMi arm, in numpy.
 
 Everything is computed from the Denavit-Hartenberg rows of `yumi` (the MJCF and URDF use the link
-frames instead; a test compares them). Arrays are kept as (components, n) inside: numpy then loops
-over the batch in C, and a call costs nearly the same for 1 and for 50 configurations.
+frames instead; a test compares them). Everything is done for the whole batch at once with few and
+large numpy operations: a call costs nearly the same for 1 and for 50 configurations.
 """
 
 from __future__ import annotations
@@ -46,13 +46,16 @@ class ArmKinematics:
         self.position_lower: Array = yumi.POSITION_LOWER + limits.POSITION_MARGIN
         self.position_upper: Array = yumi.POSITION_UPPER - limits.POSITION_MARGIN
         a, b, c = yumi.ARM_BASE_XYZ_ANGLES[side]
-        self._base_rotation = rotation_about(0, a) @ rotation_about(1, b) @ rotation_about(2, c)
-        self._base_position = np.array(yumi.ARM_BASE_POSITION[side])
-        self._offsets = np.array([row.offset for row in yumi.DH_ROWS])[:, None]
-        self._steps = [
-            (row.d, row.a, round(np.sin(row.alpha)), round(np.cos(row.alpha)))
-            for row in yumi.DH_ROWS
-        ]
+        base = np.eye(4)
+        base[:3, :3] = rotation_about(0, a) @ rotation_about(1, b) @ rotation_about(2, c)
+        base[:3, 3] = yumi.ARM_BASE_POSITION[side]
+        self._base = base
+        self._offsets = np.array([row.offset for row in yumi.DH_ROWS])
+        # The transform of a joint is affine in cosine and sine of its angle, so that all joints
+        # of all configurations take three operations. The base goes into the first joint.
+        parts = np.array([_row_parts(row) for row in yumi.DH_ROWS])
+        parts[0] = base @ parts[0]
+        self._constant, self._cosine, self._sine = parts.transpose(1, 0, 2, 3)[:, :, None]
 
     def forward(self, q: ArrayLike) -> tuple[Array, Array]:
         """Pose of tool0.
@@ -60,23 +63,19 @@ class ArmKinematics:
         Returns:
             Position, m, shape (..., 3), and rotation tool0 to base, shape (..., 3, 3).
         """
-        q, shape = _as_columns(q)
-        position, rotation, _, _ = self._chain(q)
-        return (
-            np.ascontiguousarray(position.T).reshape(*shape, 3),
-            np.ascontiguousarray(rotation.transpose(2, 1, 0)).reshape(*shape, 3, 3),
-        )
+        q, shape = _as_rows(q)
+        tool = self._chain(q)[-1]
+        return tool[:, :3, 3].reshape(*shape, 3), tool[:, :3, :3].reshape(*shape, 3, 3)
 
     def jacobian(self, q: ArrayLike) -> Array:
         """Geometric Jacobian of tool0: twist = J v, linear velocity first, in base axes.
 
         The linear part is the velocity of tool0's origin, m/s. Shape (..., 6, 7).
         """
-        q, shape = _as_columns(q)
-        position, _, axes, origins = self._chain(q)
-        jacobian = np.empty((6, 7, q.shape[1]))
-        _fill_jacobian(jacobian, position, axes, origins)
-        return np.ascontiguousarray(jacobian.transpose(2, 0, 1)).reshape(*shape, 6, 7)
+        q, shape = _as_rows(q)
+        jacobian = np.empty((len(q), 6, 7))
+        _fill_jacobian(jacobian, self._chain(q))
+        return jacobian.reshape(*shape, 6, 7)
 
     def inverse(
         self,
@@ -124,78 +123,76 @@ class ArmKinematics:
         q_start = np.asarray(q_start, dtype=np.float64)
         shape = np.broadcast_shapes(position.shape[:-1], q_start.shape[:-1])
         n = int(np.prod(shape, dtype=int))
-        target = np.broadcast_to(position, (*shape, 3)).reshape(n, 3).T
+        target = np.broadcast_to(position, (*shape, 3)).reshape(n, 3)
         target_rotation = np.broadcast_to(
             np.asarray(rotation, dtype=np.float64), (*shape, 3, 3)
         ).reshape(n, 3, 3)
-        q = np.array(np.broadcast_to(q_start, (*shape, 7)).reshape(n, 7).T)
+        q = np.array(np.broadcast_to(q_start, (*shape, 7)).reshape(n, 7))
         rest = None
         if posture is not None and posture_gain > 0.0:
-            rest = np.broadcast_to(np.asarray(posture, np.float64), (*shape, 7)).reshape(n, 7).T
-        lower, upper = self.position_lower[:, None], self.position_upper[:, None]
+            rest = np.broadcast_to(np.asarray(posture, np.float64), (*shape, 7)).reshape(n, 7)
+        lower, upper = self.position_lower, self.position_upper
         np.clip(q, lower, upper, out=q)
 
-        target_columns = np.ascontiguousarray(target_rotation.transpose(2, 1, 0))
-        jacobian = np.empty((6, 7, n))
-        error = np.empty((6, n))
+        jacobian = np.empty((n, 6, 7))
+        transposed = jacobian.transpose(0, 2, 1)
+        error = np.empty((n, 6, 1))
         identity = np.eye(6)
         iteration = 0
         while True:
-            tool, columns, axes, origins = self._chain(q)
-            np.subtract(target, tool, out=error[:3])
-            error[3:] = _rotation_error(target_columns, columns)
-            position_error = np.sqrt(np.einsum("in,in->n", error[:3], error[:3]))
-            rotation_error = np.sqrt(np.einsum("in,in->n", error[3:], error[3:]))
-            active = (position_error > position_tolerance) | (rotation_error > rotation_tolerance)
+            frames = self._chain(q)
+            tool = frames[-1]
+            np.subtract(target, tool[:, :3, 3], out=error[:, :3, 0])
+            error[:, 3:, 0] = _rotation_error(target_rotation, tool[:, :3, :3])
+            square = error * error
+            position_square = square[:, :3, 0].sum(axis=1)
+            rotation_square = square[:, 3:, 0].sum(axis=1)
+            active = (position_square > position_tolerance**2) | (
+                rotation_square > rotation_tolerance**2
+            )
             relaxing = rest is not None and iteration < posture_iterations
             if iteration >= max_iterations or not (relaxing or active.any()):
                 break
-            _fill_jacobian(jacobian, tool, axes, origins)
-            J = jacobian.transpose(2, 0, 1)
-            damping = 0.5 * (position_error**2 + rotation_error**2) + 1e-10
-            gram = J @ J.transpose(0, 2, 1) + damping[:, None, None] * identity
+            _fill_jacobian(jacobian, frames)
+            damping = 0.5 * (position_square + rotation_square) + 1e-10
+            gram = jacobian @ transposed + damping[:, None, None] * identity
             if relaxing and rest is not None:
                 relax = posture_gain * (rest - q)
-                demand = error - np.einsum("ijn,jn->in", jacobian, relax)
-                step = relax + _transpose_solve(jacobian, gram, demand)
+                demand = error - jacobian @ relax[:, :, None]
+                step = relax + (transposed @ np.linalg.solve(gram, demand))[:, :, 0]
             else:
-                step = _transpose_solve(jacobian, gram, error) * active
-            largest = np.abs(step).max(axis=0)
-            step *= np.minimum(1.0, max_step / np.maximum(largest, 1e-12))
+                step = (transposed @ np.linalg.solve(gram, error))[:, :, 0] * active[:, None]
+            largest = np.abs(step).max(axis=1, initial=0.0)
+            if (largest > max_step).any():
+                step *= np.minimum(1.0, max_step / np.maximum(largest, 1e-12))[:, None]
             q += step
             np.clip(q, lower, upper, out=q)
             iteration += 1
         return InverseResult(
-            q=np.ascontiguousarray(q.T).reshape(*shape, 7),
-            position_error=position_error.reshape(shape),
-            rotation_error=rotation_error.reshape(shape),
+            q=q.reshape(*shape, 7),
+            position_error=np.sqrt(position_square).reshape(shape),
+            rotation_error=np.sqrt(rotation_square).reshape(shape),
         )
 
-    def _chain(self, q: Array) -> tuple[Array, Array, Array, Array]:
-        """Frames along the chain for q of shape (7, n).
+    def _chain(self, q: Array) -> Array:
+        """Frames along the chain, as homogeneous transforms to the base frame.
 
-        Returns tool0's position (3, n), its three axes (3 axes, 3, n), and of every joint the
-        axis (7, 3, n) and a point on it (7, 3, n).
+        Args:
+            q: Shape (n, 7).
+
+        Returns:
+            Shape (8, n, 4, 4): frame i carries the axis of joint i as its z; the last is tool0.
         """
-        n = q.shape[1]
-        angle = q + self._offsets
-        cosine, sine = np.cos(angle), np.sin(angle)
-        axes, origins = np.empty((7, 3, n)), np.empty((7, 3, n))
-        base = self._base_rotation
-        x, y, z = base[:, 0:1], base[:, 1:2], base[:, 2:3]
-        p = self._base_position[:, None]
-        for i, (d, a, sin_alpha, cos_alpha) in enumerate(self._steps):
-            axes[i], origins[i] = z, p
-            x_new = cosine[i] * x + sine[i] * y
-            y_new = cosine[i] * y - sine[i] * x
-            if d != 0.0:
-                p = p + d * z
-            if a != 0.0:
-                p = p + a * x_new
-            # alpha is 0 or ±90 degrees: the new axes are the old ones, exchanged.
-            x = x_new
-            y, z = (y_new, z) if cos_alpha else (sin_alpha * z, -sin_alpha * y_new)
-        return p, np.stack([x, y, z]), axes, origins
+        angle = (q + self._offsets).T[:, :, None, None]
+        frames = np.empty((8, len(q), 4, 4))
+        frames[0] = self._base
+        joints = frames[1:]
+        np.multiply(np.cos(angle), self._cosine, out=joints)
+        joints += np.sin(angle) * self._sine
+        joints += self._constant
+        for i in range(1, 7):
+            np.matmul(joints[i - 1], joints[i], out=joints[i])
+        return frames
 
 
 def require_converged(
@@ -216,46 +213,47 @@ def require_converged(
         )
 
 
-def _as_columns(q: ArrayLike) -> tuple[Array, tuple[int, ...]]:
+def _row_parts(row: yumi.DhRow) -> Array:
+    """Parts C, K, S of a joint's transform C + cos(angle) K + sin(angle) S. Shape (3, 4, 4).
+
+    The transform is Rz(angle) Tz(d) Tx(a) Rx(alpha); alpha is 0 or +-90 degrees.
+    """
+    sine, cosine = round(np.sin(row.alpha)), round(np.cos(row.alpha))
+    parts = np.zeros((3, 4, 4))
+    parts[0, 2:] = [[0.0, sine, cosine, row.d], [0.0, 0.0, 0.0, 1.0]]
+    parts[1, :2] = [[1.0, 0.0, 0.0, row.a], [0.0, cosine, -sine, 0.0]]
+    parts[2, :2] = [[0.0, -cosine, sine, 0.0], [1.0, 0.0, 0.0, row.a]]
+    return parts
+
+
+def _as_rows(q: ArrayLike) -> tuple[Array, tuple[int, ...]]:
     q = np.asarray(q, dtype=np.float64)
     if q.ndim == 0 or q.shape[-1] != 7:
         raise KinematicsError(f"an arm has 7 joints; got an array of shape {q.shape}")
-    return np.ascontiguousarray(q.reshape(-1, 7).T), q.shape[:-1]
+    return q.reshape(-1, 7), q.shape[:-1]
 
 
-def _cross(a: Array, b: Array, out: Array) -> None:
-    """Cross product over the second to last axis: (..., 3, n)."""
-    a0, a1, a2 = a[..., 0, :], a[..., 1, :], a[..., 2, :]
-    b0, b1, b2 = b[..., 0, :], b[..., 1, :], b[..., 2, :]
-    out[..., 0, :] = a1 * b2 - a2 * b1
-    out[..., 1, :] = a2 * b0 - a0 * b2
-    out[..., 2, :] = a0 * b1 - a1 * b0
-
-
-def _fill_jacobian(jacobian: Array, tool: Array, axes: Array, origins: Array) -> None:
-    _cross(axes, tool - origins, out=jacobian[:3].transpose(1, 0, 2))
-    jacobian[3:] = axes.transpose(1, 0, 2)
+def _fill_jacobian(jacobian: Array, frames: Array) -> None:
+    """Write the Jacobian (n, 6, 7) of tool0 for frames as from `_chain`."""
+    axis = frames[:7, :, :3, 2].transpose(2, 1, 0)
+    lever = (frames[-1, :, :3, 3] - frames[:7, :, :3, 3]).transpose(2, 1, 0)
+    for row, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
+        np.subtract(axis[i] * lever[j], axis[j] * lever[i], out=jacobian[:, row])
+    jacobian[:, 3:] = axis.transpose(1, 0, 2)
 
 
 def _rotation_error(target: Array, actual: Array) -> Array:
-    """Rotation vector that turns `actual` into `target`, both (3 axes, 3, n). Shape (3, n)."""
-    # sin(angle) times the axis is half the sum of the cross products of the axes.
-    crossed = np.empty_like(actual)
-    _cross(actual, target, out=crossed)
-    vector: Array = 0.5 * crossed.sum(axis=0)
-    cosine = 0.5 * (np.einsum("kin,kin->n", actual, target) - 1.0)
-    sine = np.sqrt(np.einsum("in,in->n", vector, vector))
+    """Rotation vector that turns `actual` into `target`, both (n, 3, 3). Shape (n, 3)."""
+    difference = target @ actual.transpose(0, 2, 1)
+    # Its antisymmetric part is sin(angle) times the axis.
+    vector: Array = 0.5 * (
+        difference[:, (2, 0, 1), (1, 2, 0)] - difference[:, (1, 2, 0), (2, 0, 1)]
+    )
+    cosine = 0.5 * (np.trace(difference, axis1=1, axis2=2) - 1.0)
     if cosine.min(initial=1.0) > -0.99:
         # angle / sin(angle), whose limit at zero is 1.
+        sine = np.sqrt((vector * vector).sum(axis=1))
         scale = np.where(sine > 1e-9, np.arctan2(sine, cosine) / np.maximum(sine, 1e-9), 1.0)
-        return vector * scale
+        return vector * scale[:, None]
     # Near half a turn the sine says little about the axis.
-    difference = np.einsum("kin,kjn->nij", target, actual)
-    return np.ascontiguousarray(rotation_vector(difference).T)
-
-
-def _transpose_solve(jacobian: Array, gram: Array, error: Array) -> Array:
-    """J^T gram^-1 e for J (6, 7, n), gram (n, 6, 6), e (6, n). Shape (7, n)."""
-    solved = np.linalg.solve(gram, error.T[:, :, None])[:, :, 0]
-    step: Array = np.einsum("ijn,ni->jn", jacobian, solved)
-    return step
+    return rotation_vector(difference)
