@@ -1,6 +1,8 @@
 """Learning curves and a picture of the states a run has visited, as PNG files.
 
-Writes curves.png and coverage.png into the run directory, or into --out.
+Writes into the run directory, or into --out: curves.png (all that was measured), learning.png
+(rewarded share with the times of first discoveries, and how often the lid and button and the hand
+were where) and coverage.png (visited states by when they were met).
 """
 
 from __future__ import annotations
@@ -16,13 +18,13 @@ import tyro
 from numpy.typing import NDArray
 
 from skewmi.batch_env import BatchEnv
-from skewmi.errors import CheckpointError
-from skewmi.policy_io import Array, PolicyLayout, inside_region
+from skewmi.cli import drawing
+from skewmi.cli.learning import draw_learning, read_record, read_table
+from skewmi.policy_io import PolicyLayout
 from skewmi.sim import tasks
 from skewmi.train.checkpoint import read_checkpoint, read_run_header
 from skewmi.train.config import TrainConfig
 from skewmi.train.history import visited_states
-from skewmi.train.log import read_metrics
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,7 +40,6 @@ _CURVES: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
     ("extrinsic return", (("return", "training"), ("evaluation_return", "evaluation"))),
     ("policy entropy, nats, and temperature", (("policy_entropy", "entropy"),)),
 )
-_BLUE, _ORANGE, _GREY = "#2f6f9f", "#d9752b", "#5b6770"
 _MAX_POINTS = 60_000
 
 
@@ -62,24 +63,11 @@ def run_figures(options: FiguresCommand) -> int:
     out = options.run_dir if options.out is None else options.out
     out.mkdir(parents=True, exist_ok=True)
     files = [draw_curves(options.run_dir, out / "curves.png", options.dpi)]
+    files.append(draw_learning([read_record(options.run_dir)], out / "learning.png", options.dpi))
     files.append(draw_coverage(options.run_dir, config, layout, out / "coverage.png", options.dpi))
     names = [str(path) for path in files]
     print(json.dumps({"files": names}) if options.json else "\n".join(names))
     return 0
-
-
-def _new_figure(rows: int, columns: int, width: float, height: float) -> tuple[Any, Any]:
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    from matplotlib import pyplot
-
-    figure, axes = pyplot.subplots(
-        rows, columns, figsize=(width, height), squeeze=False, layout="constrained"
-    )
-    for axis in axes.ravel():
-        axis.spines[["top", "right"]].set_visible(False)
-    return figure, axes
 
 
 def draw_curves(run_dir: Path, path: Path, dpi: int) -> Path:
@@ -88,24 +76,19 @@ def draw_curves(run_dir: Path, path: Path, dpi: int) -> Path:
     Raises:
         CheckpointError: The table is missing or empty.
     """
-    try:
-        table = read_metrics(run_dir)
-    except (OSError, ValueError) as error:
-        raise CheckpointError(f"{run_dir} has no readable metrics.csv: {error}") from error
-    if not table:
-        raise CheckpointError(f"{run_dir / 'metrics.csv'} has no rows yet; train first")
-    figure, axes = _new_figure(2, 3, 12.0, 6.2)
+    table = read_table(run_dir)
+    figure, axes = drawing.new_axes(2, 3, 12.0, 6.2)
     trajectories = np.array(table["trajectories"])
     for axis, (title, curves) in zip(axes.ravel(), _CURVES, strict=True):
-        for (name, label), colour in zip(curves, (_BLUE, _ORANGE), strict=False):
+        for (name, label), colour in zip(curves, (drawing.BLUE, drawing.ORANGE), strict=False):
             values = np.array(table[name])
             known = np.isfinite(values)
             axis.plot(trajectories[known], values[known], color=colour, label=label or None)
         if "temperature" in title:
             twin = axis.twinx()
             values = np.array(table["temperature"])
-            twin.semilogy(trajectories, values, color=_ORANGE)
-            twin.set_ylabel("temperature", color=_ORANGE)
+            twin.semilogy(trajectories, values, color=drawing.ORANGE)
+            twin.set_ylabel("temperature", color=drawing.ORANGE)
         elif len(curves) > 1:
             axis.legend(frameon=False, fontsize=8)
         axis.set_title(title, fontsize=10)
@@ -113,7 +96,7 @@ def draw_curves(run_dir: Path, path: Path, dpi: int) -> Path:
         axis.set_xlim(left=0)
     _mark_discoveries(run_dir, axes.ravel()[2])
     figure.suptitle(f"{run_dir.name}: {int(table['step'][-1]):,} environment steps", fontsize=11)
-    figure.savefig(path, dpi=dpi)
+    drawing.save(figure, path, dpi)
     return path
 
 
@@ -121,9 +104,9 @@ def _mark_discoveries(run_dir: Path, axis: Axes) -> None:
     """Vertical lines at first times."""
     found = read_checkpoint(run_dir).state["discoveries"]
     for k, (name, first) in enumerate(found.items()):
-        axis.axvline(first["trajectory"], color=_GREY, linewidth=0.7, linestyle=":")
+        axis.axvline(first["trajectory"], color=drawing.GREY, linewidth=0.7, linestyle=":")
         axis.text(
-            first["trajectory"], 0.02 + 0.07 * k, f" {name}", fontsize=6.5, color=_GREY,
+            first["trajectory"], 0.02 + 0.07 * k, f" {name}", fontsize=6.5, color=drawing.GREY,
             transform=axis.get_xaxis_transform(),
         )  # fmt: skip
 
@@ -148,7 +131,7 @@ def draw_coverage(
     panels = [grid if len(grid) == 2 else [0, 1]]
     if {"hand_y", "hand_z"} <= set(names):
         panels.append([names.index("hand_y"), names.index("hand_z")])
-    figure, axes = _new_figure(1, len(panels), 6.5 * len(panels), 5.0)
+    figure, axes = drawing.new_axes(1, len(panels), 6.5 * len(panels), 5.0)
     for axis, columns in zip(axes[0], panels, strict=True):
         plane = layout.state_dim == 2
         if plane:
@@ -157,7 +140,7 @@ def draw_coverage(
             flat[:, columns[0]], flat[:, columns[1]], c=episodes, s=2.0, linewidths=0,
             cmap="viridis", rasterized=True,
         )  # fmt: skip
-        _draw_region(axis, layout, columns)
+        drawing.draw_region(axis, layout, columns)
         for column, label in zip(columns, (axis.set_xlabel, axis.set_ylabel), strict=True):
             field = layout.state_fields[column]
             label(f"{field.name} [{field.unit}]")
@@ -168,7 +151,7 @@ def draw_coverage(
         f"{layout.task}: states visited in {len(states):,} trajectories (reward region orange)",
         fontsize=11,
     )
-    figure.savefig(path, dpi=dpi)
+    drawing.save(figure, path, dpi)
     return path
 
 
@@ -177,32 +160,10 @@ def _environment(config: TrainConfig) -> BatchEnv:
     return tasks.make_batch(config.task, 1, num_threads=1, **options)
 
 
-def _raster(layout: PolicyLayout, columns: Sequence[int], points: int) -> tuple[Any, Array]:
-    """Extent of two fields' ranges, and a square raster of states over them."""
-    fields = [layout.state_fields[c] for c in columns]
-    u, v = (np.linspace(f.low, f.high, points) for f in fields)
-    states = np.stack(np.meshgrid(u, v), axis=-1)
-    return (u[0], u[-1], v[0], v[-1]), states
-
-
 def _draw_walls(axis: Axes, env: BatchEnv, layout: PolicyLayout, columns: Sequence[int]) -> None:
-    extent, states = _raster(layout, columns, 400)
+    extent, states = drawing.raster(layout, columns, 400)
     blocked: NDArray[np.bool_] = ~env.reachable(states)
     axis.imshow(
         np.where(blocked, 0.35, 0.0), extent=extent, origin="lower", cmap="Greys", vmin=0.0,
         vmax=1.0, zorder=0,
     )  # fmt: skip
-
-
-def _draw_region(axis: Axes, layout: PolicyLayout, columns: Sequence[int]) -> None:
-    """Outline of the reward region where it depends on nothing but these two fields."""
-    names = [field.name for field in layout.state_fields]
-    used = {names.index(name) for ball in layout.reward_region for name in ball.fields}
-    if not used or not used <= set(columns):
-        return
-    extent, plane = _raster(layout, columns, 600)
-    states = np.zeros((*plane.shape[:2], layout.state_dim))
-    states[..., columns] = plane
-    inside = inside_region(layout, states).astype(float)
-    x, y = np.linspace(extent[0], extent[1], 600), np.linspace(extent[2], extent[3], 600)
-    axis.contour(x, y, inside, levels=[0.5], colors=_ORANGE, linewidths=2.0, zorder=3)

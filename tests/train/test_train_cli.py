@@ -51,7 +51,7 @@ def test_figures_show_the_run(run_dir: Path, tmp_path, capsys) -> None:
 
     assert main(["figures", str(run_dir), "--out", str(tmp_path), "--json"]) == 0
     files = json.loads(capsys.readouterr().out)["files"]
-    assert [Path(f).name for f in files] == ["curves.png", "coverage.png"]
+    assert [Path(f).name for f in files] == ["curves.png", "learning.png", "coverage.png"]
     for file in files:
         picture = iio.imread(file)
         assert picture.shape[0] > 300

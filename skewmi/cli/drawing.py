@@ -1,0 +1,89 @@
+"""What the pictures of runs share: axes without frills, colours, reward regions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from skewmi.policy_io import Array, PolicyLayout, inside_region
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+BLUE, ORANGE, GREY = "#2f6f9f", "#d9752b", "#5b6770"
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure, inches, that needs no display."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot
+
+    figure: Figure = pyplot.figure(figsize=(width, height), layout="constrained")
+    return figure
+
+
+def new_axes(rows: int, columns: int, width: float, height: float) -> tuple[Any, Any]:
+    """A figure, inches, and its axes, an array of shape (rows, columns)."""
+    figure = new_figure(width, height)
+    axes = figure.subplots(rows, columns, squeeze=False)
+    for axis in axes.ravel():
+        strip(axis)
+    return figure, axes
+
+
+def save(figure: Any, path: Any, dpi: int) -> None:
+    """Write the picture and give its memory back."""
+    from matplotlib import pyplot
+
+    figure.savefig(path, dpi=dpi)
+    pyplot.close(figure)
+
+
+def strip(axis: Axes) -> None:
+    """Leave away the lines that bound nothing."""
+    axis.spines[["top", "right"]].set_visible(False)
+
+
+def raster(layout: PolicyLayout, columns: Sequence[int], points: int) -> tuple[Any, Array]:
+    """Extent of two fields' ranges, and a square raster of states over them."""
+    fields = [layout.state_fields[c] for c in columns]
+    u, v = (np.linspace(f.low, f.high, points) for f in fields)
+    states = np.stack(np.meshgrid(u, v), axis=-1)
+    return (u[0], u[-1], v[0], v[-1]), states
+
+
+def draw_region(
+    axis: Axes,
+    layout: PolicyLayout,
+    columns: Sequence[int],
+    scale: tuple[float, float] = (1.0, 1.0),
+) -> bool:
+    """Outline of the reward region where it depends on nothing but these two fields.
+
+    Args:
+        axis: To draw on.
+        layout: Of the task.
+        columns: The two state fields along x and y.
+        scale: Units of the axes per unit of the fields.
+
+    Returns:
+        Whether there was one to draw.
+    """
+    names = [field.name for field in layout.state_fields]
+    used = {names.index(name) for ball in layout.reward_region for name in ball.fields}
+    if not used or not used <= set(columns):
+        return False
+    extent, plane = raster(layout, columns, 600)
+    states = np.zeros((*plane.shape[:2], layout.state_dim))
+    states[..., columns] = plane
+    inside = inside_region(layout, states).astype(float)
+    x, y = np.linspace(extent[0], extent[1], 600), np.linspace(extent[2], extent[3], 600)
+    axis.contour(
+        x * scale[0], y * scale[1], inside, levels=[0.5], colors=ORANGE, linewidths=2.0, zorder=3
+    )
+    return True
