@@ -18,7 +18,7 @@ from skewmi.errors import ConfigurationError
 from skewmi.policy_io import Array, PolicyLayout
 
 if TYPE_CHECKING:
-    from skewmi.sim.open_press_close.task import Diagnostics
+    from skewmi.sim.open_press_close.diagnostics import Diagnostics
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,8 @@ QUANTITIES: Mapping[str, Quantity] = {
 """What is measured in every step, by key of the JSON document, which ends with the unit.
 
 The mean over a step (0.1 s) is what the hand stands against, the peak what it hits with. Forces
-on the arm leave the hand out. The box is the workspace that commands are clipped to.
+on the arm leave the hand out. The box is the workspace that commands are clipped to; the hand,
+in the last three, is where the joint sensors put it.
 """
 
 

@@ -67,8 +67,8 @@ def resolve(options: TrainCommand) -> TrainConfig:
     """
     if options.resume and (options.run_dir / "config.json").exists():
         config, _ = read_run_header(options.run_dir)
-        recorded = {"twin": dict(config.task_options).get("twin")}
-        if options.twin is not None and (twin_option(options.twin) or {"twin": None}) != recorded:
+        recorded = dict(config.task_options).get("twin")
+        if options.twin is not None and twin_option(options.twin).get("twin") != recorded:
             raise ConfigurationError(
                 f"--twin {options.twin} is not what the run in {options.run_dir} was started with; "
                 "leave --twin out to continue it, or use another directory"

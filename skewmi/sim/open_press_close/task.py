@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -25,6 +24,8 @@ from skewmi.policy_io import (
 from skewmi.robot_models import servo
 from skewmi.sim.checks import checked_action, checked_num_envs
 from skewmi.sim.open_press_close import definition, reach
+from skewmi.sim.open_press_close.batch_twin import BatchTwin
+from skewmi.sim.open_press_close.diagnostics import Diagnostics
 from skewmi.sim.open_press_close.randomization import Randomization
 from skewmi.sim.open_press_close.scene import (
     SERVO,
@@ -32,37 +33,9 @@ from skewmi.sim.open_press_close.scene import (
     hand_rotation,
     workspace_of,
 )
-from skewmi.sim.open_press_close.twin_fields import (
-    TwinSensors,
-    delay_substeps,
-    model_fields,
-    needs_set_const,
-)
 from skewmi.sim.twin import Twin, TwinSample, resolve
 
 layout = definition.make_layout
-
-_TWIN_STREAM = 1
-"""Keeps the twin's random stream apart from that of the start positions."""
-
-
-@dataclass(frozen=True)
-class Diagnostics:
-    """What the last step did to robot and scene. Each shape (num_envs,).
-
-    Attributes:
-        hand_force_peak: Largest net contact force on hand and wrist over the substeps, N.
-        hand_force_mean: Mean over the substeps of that force's size, N.
-        arm_force_peak: Largest net contact force on the arm without its hand, N.
-        hand_tilt: Angle between the hand and the orientation it should hold, rad.
-        hand_to_command: Distance of the measured hand from the commanded one, m.
-    """
-
-    hand_force_peak: Array
-    hand_force_mean: Array
-    arm_force_peak: Array
-    hand_tilt: Array
-    hand_to_command: Array
 
 
 class OpenPressCloseBatch:
@@ -80,7 +53,6 @@ class OpenPressCloseBatch:
         servo_targets: Controls at every substep of the last step, delayed as the twin says,
             overwritten by the next. Shape (num_envs, substeps, nu).
         twin: How the simulations differ from the nominal one.
-        twin_sample: What was drawn at the last reset; None for the nominal twin.
     """
 
     num_envs: int
@@ -129,8 +101,11 @@ class OpenPressCloseBatch:
         self._hand_rotation = hand_rotation(self._workspace)
         self._randomization = Randomization() if randomization is None else randomization
         self.twin = resolve(twin)
-        self.twin_sample: TwinSample | None = None
-        self._seed_streams(seed)
+        # The nominal twin is no twin at all, so that it costs nothing.
+        self._twin = (
+            None if self.twin.is_nominal else BatchTwin(self.twin, self.scene, self.batch, seed)
+        )
+        self._rng = np.random.default_rng(seed)
         self._step_index = -1
         self._command_position_w = np.empty((self.num_envs, 3))
         self._command_q = np.empty((self.num_envs, 7))
@@ -150,15 +125,17 @@ class OpenPressCloseBatch:
             First observation. Shape (num_envs, observation_dim).
         """
         if seed is not None:
-            self._seed_streams(seed)
+            self._rng = np.random.default_rng(seed)
+            if self._twin is not None:
+                self._twin.seed(seed)
         starts = self._randomization.sample_starts(self.layout, self.num_envs, self._rng)
         qpos = self.scene.start_positions(self.layout, starts)
         self._command_position_w = starts
         self._command_q = qpos[:, self.scene.arm_qpos]
         self._command_opening = np.full(self.num_envs, self._workspace.gripper_opening)
         controls = self.scene.controls(self._command_q, self._command_opening)
-        if not self.twin.is_nominal:
-            self._draw_twin(qpos, controls)
+        if self._twin is not None:
+            self._twin.start(qpos, controls)
         self.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
         self.batch.bind("qpos")[:] = qpos
         self.batch.bind("ctrl")[:] = controls
@@ -167,29 +144,6 @@ class OpenPressCloseBatch:
         self._step_index = 0
         self._read()
         return self._observe()[0]
-
-    def _seed_streams(self, seed: int) -> None:
-        self._rng = np.random.default_rng(seed)
-        self._twin_rng = np.random.default_rng([seed, self.twin.seed, _TWIN_STREAM])
-
-    def _draw_twin(self, qpos: Array, controls: Array) -> None:
-        """Draw new values; write them into the models and into the start given."""
-        sample = self.twin.sample(self._twin_rng, self.num_envs)
-        fields = model_fields(self.scene.physics_model, sample)
-        for name, values in fields.items():
-            self.batch.expand(name)[:] = values
-        if needs_set_const(fields):
-            self.batch.set_const()
-        self.twin_sample = sample
-        self._sensors = TwinSensors(self.twin, sample)
-        self._opening_error = sample.get("gripper.opening_error")
-        qpos[:, self.scene.finger_qpos] += self._opening_error[:, None]
-        controls[:, self.scene.finger_ctrl] += self._opening_error
-        # Row `substeps` + k of the path is substep k of the step to come.
-        steps = definition.SUBSTEPS
-        self._path = np.repeat(controls[:, None, :], 2 * steps, axis=1)
-        rows = np.arange(steps, 2 * steps) - delay_substeps(sample)[:, None]
-        self._path_rows = rows + 2 * steps * np.arange(self.num_envs)[:, None]
 
     def step(self, action: Array) -> StepResult:
         """Apply actions in [-1, 1], clipped here. Shape (num_envs, action_dim).
@@ -238,17 +192,8 @@ class OpenPressCloseBatch:
         last = self.scene.controls(self._command_q, self._command_opening, velocity)
         np.multiply((last - first)[:, None, :], self._fraction, out=self.servo_targets)
         self.servo_targets += first[:, None, :]
-        if self.twin_sample is not None:
-            self._delay_targets()
-
-    def _delay_targets(self) -> None:
-        """Replace the targets by those that the servos have got to, fingers off by their error."""
-        steps = definition.SUBSTEPS
-        self.servo_targets[:, :, self.scene.finger_ctrl] += self._opening_error[:, None]
-        self._path[:, :steps] = self._path[:, steps:]
-        self._path[:, steps:] = self.servo_targets
-        rows = self._path.reshape(-1, self._path.shape[-1])
-        np.take(rows, self._path_rows, axis=0, out=self.servo_targets, mode="clip")
+        if self._twin is not None:
+            self._twin.delay(self.servo_targets)
 
     def _check_physics(self) -> None:
         bad = np.flatnonzero(self.batch.warning.any(axis=1))
@@ -262,10 +207,9 @@ class OpenPressCloseBatch:
 
     def _read(self) -> None:
         self._qpos = self.batch.bind("qpos")
-        self._errors = None
+        self._errors = None if self._twin is None else self._twin.sensor_errors()
         measured = self._qpos
-        if self.twin_sample is not None and not self._sensors.ideal:
-            self._errors = self._sensors.errors(self._twin_rng)
+        if self._errors is not None:
             measured = measured.copy()
             measured[:, self.scene.arm_qpos] += self._errors[0]
         self._hand_position_w, _ = self.scene.hand_pose(measured)
@@ -307,6 +251,11 @@ class OpenPressCloseBatch:
             hand_to_command=np.linalg.norm(self._command_position_w - hand_position_w, axis=-1),
         )
 
+    @property
+    def twin_sample(self) -> TwinSample | None:
+        """What was drawn at the last reset; None for the nominal twin."""
+        return None if self._twin is None else self._twin.sample
+
     def command(self) -> tuple[Array, Array]:
         """What the arm is commanded to at the end of the last step.
 
@@ -318,8 +267,8 @@ class OpenPressCloseBatch:
     def random_state(self) -> dict[str, object]:
         """JSON-serialisable state of the random streams."""
         state: dict[str, object] = {"generator": self._rng.bit_generator.state}
-        if not self.twin.is_nominal:
-            state["twin"] = self._twin_rng.bit_generator.state
+        if self._twin is not None:
+            state["twin"] = self._twin.random_state()
         return state
 
     def set_random_state(self, state: dict[str, object]) -> None:
@@ -331,12 +280,11 @@ class OpenPressCloseBatch:
         try:
             rng = np.random.default_rng()
             rng.bit_generator.state = cast(Mapping[str, Any], state["generator"])
-            twin_rng = np.random.default_rng()
-            if not self.twin.is_nominal:
-                twin_rng.bit_generator.state = cast(Mapping[str, Any], state["twin"])
+            if self._twin is not None:
+                self._twin.set_random_state(cast(Mapping[str, Any], state["twin"]))
         except (KeyError, TypeError, ValueError) as error:
             raise ConfigurationError(f"not a random state of open_press_close: {error}") from error
-        self._rng, self._twin_rng = rng, twin_rng
+        self._rng = rng
 
 
 def make_batch(

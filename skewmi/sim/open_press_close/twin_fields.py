@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from skewmi.policy_io import Array
 from skewmi.robot_models import yumi
 from skewmi.sim.open_press_close.definition import SIM_DT
-from skewmi.sim.twin import Twin, TwinSample
+from skewmi.sim.twin import TwinSample
 
 _NEEDS_SET_CONST = {"body_mass", "body_inertia", "body_pos", "body_quat", "dof_armature"}
 """Fields that constants of the model are derived from."""
@@ -89,28 +90,26 @@ def needs_set_const(fields: dict[str, Array]) -> bool:
     return not _NEEDS_SET_CONST.isdisjoint(fields)
 
 
-def delay_substeps(sample: TwinSample) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
+def delay_substeps(sample: TwinSample) -> NDArray[np.int64]:
     """Delay of the servos in time steps of the physics. Shape (n,)."""
     return np.rint(sample.get("servo.delay_ms") / (SIM_DT * 1e3)).astype(np.int64)
 
 
-class TwinSensors:
+class SensorErrors:
     """Bias, constant in an episode, and white noise of the sensors.
 
     Args:
-        twin: Says which sensors are not ideal.
         sample: Values drawn.
     """
 
-    def __init__(self, twin: Twin, sample: TwinSample) -> None:
-        self.ideal = not twin.has(*SENSOR_KEYS)
+    def __init__(self, sample: TwinSample) -> None:
         self._n = sample.n
         self._joint_noise = sample.get("sensors.joint_noise")
         self._lid_bias = np.radians(sample.get("sensors.lid_bias_deg"))
         self._lid_noise = np.radians(sample.get("sensors.lid_noise_deg"))
         self._button_noise = sample.get("sensors.button_noise")
 
-    def errors(self, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    def draw(self, rng: np.random.Generator) -> tuple[Array, Array, Array]:
         """Errors of one reading.
 
         Returns:

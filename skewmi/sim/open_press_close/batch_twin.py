@@ -1,0 +1,97 @@
+"""A twin at work in a batch: models that differ, late servos, sensors with errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from mujoco.batch import Batch
+
+from skewmi.policy_io import Array
+from skewmi.sim.open_press_close.definition import SUBSTEPS
+from skewmi.sim.open_press_close.scene import OpenPressCloseScene
+from skewmi.sim.open_press_close.twin_fields import (
+    SENSOR_KEYS,
+    SensorErrors,
+    delay_substeps,
+    model_fields,
+    needs_set_const,
+)
+from skewmi.sim.twin import Twin, TwinSample
+
+_STREAM = 1
+"""Keeps the twin's random stream apart from that of the start positions."""
+
+
+class BatchTwin:
+    """Draws a twin's values for every simulation of a batch and applies them.
+
+    Args:
+        twin: Not the nominal one.
+        scene: Gives the nominal model and the addresses.
+        batch: Of the scene's physics model.
+        seed: Of the environment.
+
+    Attributes:
+        twin: As given.
+        sample: Drawn at the last `start`.
+    """
+
+    def __init__(self, twin: Twin, scene: OpenPressCloseScene, batch: Batch, seed: int) -> None:
+        self.twin = twin
+        self.sample = TwinSample(batch.nsim, {})
+        self._scene, self._batch = scene, batch
+        self._ideal_sensors = not twin.has(*SENSOR_KEYS)
+        self.seed(seed)
+
+    def seed(self, seed: int) -> None:
+        """Restart the random stream from the environment's seed."""
+        self._rng = np.random.default_rng([seed, self.twin.seed, _STREAM])
+
+    def start(self, qpos: Array, controls: Array) -> None:
+        """Draw new values; write them into the models and into the start of the episode.
+
+        Args:
+            qpos: Nominal start, changed. Shape (n, nq).
+            controls: That hold it, changed. Shape (n, nu).
+        """
+        n = self._batch.nsim
+        self.sample = sample = self.twin.sample(self._rng, n)
+        fields = model_fields(self._scene.physics_model, sample)
+        for name, values in fields.items():
+            self._batch.expand(name)[:] = values
+        if needs_set_const(fields):
+            self._batch.set_const()
+        self._sensors = SensorErrors(sample)
+        self._opening_error = sample.get("gripper.opening_error")
+        qpos[:, self._scene.finger_qpos] += self._opening_error[:, None]
+        controls[:, self._scene.finger_ctrl] += self._opening_error
+        # The targets of the last step, then those of the one to come: row SUBSTEPS + k - delay
+        # is what the servos have got to at substep k.
+        self._path = np.repeat(controls[:, None, :], 2 * SUBSTEPS, axis=1)
+        rows = np.arange(SUBSTEPS, 2 * SUBSTEPS) - delay_substeps(sample)[:, None]
+        self._rows = rows + 2 * SUBSTEPS * np.arange(n)[:, None]
+
+    def delay(self, targets: Array) -> None:
+        """Replace a step's targets by what the servos get. Shape (n, SUBSTEPS, nu)."""
+        targets[:, :, self._scene.finger_ctrl] += self._opening_error[:, None]
+        self._path[:, :SUBSTEPS] = self._path[:, SUBSTEPS:]
+        self._path[:, SUBSTEPS:] = targets
+        flat = self._path.reshape(-1, targets.shape[-1])
+        # Every row exists; "clip" only spares a buffer.
+        np.take(flat, self._rows, axis=0, out=targets, mode="clip")
+
+    def sensor_errors(self) -> tuple[Array, Array, Array] | None:
+        """Errors of one reading, see `SensorErrors.draw`; None if every sensor is ideal."""
+        return None if self._ideal_sensors else self._sensors.draw(self._rng)
+
+    def random_state(self) -> Mapping[str, Any]:
+        """JSON-serialisable state of the random stream."""
+        return self._rng.bit_generator.state
+
+    def set_random_state(self, state: Mapping[str, Any]) -> None:
+        """Inverse of `random_state`. Raises TypeError, ValueError or KeyError if it is not."""
+        rng = np.random.default_rng()
+        rng.bit_generator.state = state
+        self._rng = rng

@@ -1,0 +1,119 @@
+"""Twin files: what is read, what is refused, what is drawn."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from skewmi.errors import ConfigurationError, NotFoundError
+from skewmi.sim import twin as twins
+from skewmi.sim.twin import KEYS, Twin
+
+
+def _values(key: str) -> st.SearchStrategy:
+    spec = KEYS[key]
+    number = st.floats(spec.low, spec.high)
+    one = number | st.tuples(number, number).map(sorted)
+    return one | st.lists(one, min_size=7, max_size=7) if spec.size == 7 else one
+
+
+@st.composite
+def _twins(draw: st.DrawFn) -> Twin:
+    content: dict = {"seed": draw(st.integers(0, 9))}
+    for key in draw(st.sets(st.sampled_from(list(KEYS)))):
+        section, _, name = key.partition(".")
+        content.setdefault(section, {})[name] = draw(_values(key))
+    return Twin.parse(str(content))
+
+
+@given(_twins())
+def test_json_reads_back_as_the_same_twin(twin: Twin) -> None:
+    assert Twin.parse(twin.to_json()) == twin
+    assert twins.resolve(twin.to_json()) == twin
+
+
+@given(_twins(), st.integers(0, 2**32 - 1))
+def test_samples_lie_in_their_ranges_and_depend_on_the_seed_alone(twin: Twin, seed: int) -> None:
+    sample = twin.sample(np.random.default_rng(seed), 5)
+    again = twin.sample(np.random.default_rng(seed), 5)
+    assert list(sample.values) == [key for key, _ in twin.ranges]
+    for key, pairs in twin.ranges:
+        low, high = np.array(pairs).T
+        drawn = sample.values[key]
+        assert drawn.shape == ((5,) if KEYS[key].size == 1 else (5, 7))
+        assert np.all(drawn >= low)
+        assert np.all(drawn <= high)
+        np.testing.assert_array_equal(drawn, again.values[key])
+
+
+def test_a_range_fills_its_width_and_differs_between_simulations_and_joints() -> None:
+    twin = Twin.parse("{servo: {kp_scale: [0.5, 1.5]}, lid: {mass: 0.2}}")
+    sample = twin.sample(np.random.default_rng(0), 400)
+    scale = sample.values["servo.kp_scale"]
+    assert len(np.unique(scale)) == 2800
+    assert scale.mean() == pytest.approx(1.0, abs=0.02)
+    assert scale.std() == pytest.approx(1.0 / np.sqrt(12), abs=0.02)
+    assert np.all(sample.values["lid.mass"] == 0.2)
+
+
+def test_seven_values_belong_to_the_joints_in_order() -> None:
+    twin = Twin.parse("servo: {kd_scale: [1, 1.1, 1.2, [0.5, 0.6], 1.4, 1.5, 1.6]}")
+    drawn = twin.sample(np.random.default_rng(0), 3).values["servo.kd_scale"]
+    np.testing.assert_array_equal(drawn[:, [0, 1, 2, 4, 5, 6]], [[1, 1.1, 1.2, 1.4, 1.5, 1.6]] * 3)
+    assert np.all((drawn[:, 3] >= 0.5) & (drawn[:, 3] <= 0.6))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("lids: {}", "no section 'lids'; allowed: seed, servo, lid, button"),
+        ("lid: {weight: 1}", "lid has no key 'weight'; allowed: frictionloss, damping, mass"),
+        ("lid: 3", "lid is 3; it must map keys to values: frictionloss, damping, mass"),
+        ("lid: {mass: heavy}", "lid.mass is 'heavy'; it must be a number or [low, high], within"),
+        ("lid: {mass: true}", "lid.mass is True"),
+        ("lid: {mass: [0.3, 0.2]}", "lid.mass is [0.3, 0.2]"),
+        ("lid: {mass: [0.1, 0.2, 0.3]}", "lid.mass is [0.1, 0.2, 0.3]"),
+        ("lid: {mass: .nan}", "lid.mass is nan"),
+        ("lid: {mass: 50}", "within 0.01..1 kg"),
+        ("servo: {kp_scale: [1, 1, 1]}", "or a list of 7 of these"),
+        ("seed: -1", "seed is -1"),
+        ("seed: 1.5", "seed is 1.5"),
+        ("- 1", "must map sections to keys"),
+        ("lid: {mass: [", "is not YAML"),
+        ("lid: {mass: 0.1, mass: 0.2}", "is not YAML"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(tmp_path: Path, text: str, said: str) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigurationError) as error:
+        Twin.load(path)
+    assert said in str(error.value)
+    assert str(path) in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_missing_file_lists_what_is_bundled() -> None:
+    with pytest.raises(NotFoundError, match=r"no twin file nowhere\.yaml.*randomised"):
+        Twin.load("nowhere.yaml")
+    with pytest.raises(ConfigurationError, match="randomised"):
+        twins.resolve(3)  # type: ignore[arg-type]
+
+
+def test_an_empty_file_is_the_nominal_twin() -> None:
+    for text in ("", "{}", "lid:", "seed: 0"):
+        assert Twin.parse(text) == Twin.nominal()
+    assert Twin.nominal().is_nominal
+
+
+def test_every_bundled_file_is_valid_and_lets_the_lid_stay_where_it_is_left() -> None:
+    assert "randomised" in twins.bundled()
+    for name in twins.bundled():
+        twin = Twin.load(name)
+        assert not twin.is_nominal
+        friction = dict(twin.ranges).get("lid.frictionloss")
+        assert friction is None or friction[0][0] >= 0.10
