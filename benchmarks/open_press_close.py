@@ -6,7 +6,8 @@ Aggregates finished run directories of `skewmi train --task open_press_close
 --stop-on-convergence`, or, without --runs, trains --seeds one after the other (some 20 minutes a
 seed on one core). Every run's final policy then acts deterministically in fresh episodes with
 random starts. Writes a document and, beside it, a picture; runs that found or learned nothing
-stay in both, and in the medians as infinitely late (null where the median is).
+stay in both, and in the medians as infinitely late (null where the median is). A run trained
+with a twin is evaluated with it.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from common import (
 
 from skewmi.cli.contact import recorder_for, summarise_contact
 from skewmi.cli.learning import RunRecord, draw_learning, read_record
+from skewmi.cli.policies import twin_option
 from skewmi.errors import ConfigurationError, SkewmiError
 from skewmi.export.rollout import run_episodes, summarise
 from skewmi.sim import tasks
@@ -61,6 +63,9 @@ def train_seeds(options: argparse.Namespace, root: Path) -> list[Path]:
             threads=options.threads,
             minutes=options.minutes,
             stop_on_convergence=True,
+        )
+        config = replace(
+            config, task_options=config.task_options + tuple(twin_option(options.twin).items())
         )
         if options.steps is not None:
             config = replace(config, total_steps=options.steps)
@@ -125,14 +130,15 @@ def recorded_commit(run_dir: Path) -> str | None:
 def describe(record: RunRecord) -> dict[str, Any]:
     """What a run was and when things happened in it."""
     config, converged_at = record.config, record.converged_at
-    options = dict(config.task_options)
+    options: dict[str, Any] = dict(config.task_options)
+    twin = options.pop("twin", None)
     recorded = recorded_commit(record.run_dir)
     x, y = record.curve
     return {
         "seed": config.seed,
         "preset": config.preset,
         "task_options": options,
-        "twin": options.get("twin"),
+        "twin": "nominal" if twin is None else json.loads(twin),
         "commit": recorded or commit(),
         "commit_from": "the run" if recorded else "the tree at aggregation; the run recorded none",
         "trajectories": record.trajectories,
@@ -231,6 +237,7 @@ def main() -> int:
     parser.add_argument("--episodes", type=int, default=200, help="evaluated per run")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2], help="to train")
     parser.add_argument("--preset", default="improved", help="to train")
+    parser.add_argument("--twin", help="to train with: twin file, or name of a bundled one")
     parser.add_argument("--minutes", type=float, default=45.0, help="budget of each training")
     parser.add_argument("--steps", type=int, help="budget of each training, environment steps")
     parser.add_argument("--threads", type=int, default=1, help="of training and evaluation")

@@ -135,6 +135,8 @@ def draw_learning(records: Sequence[RunRecord], path: Path, dpi: int) -> Path:
     below = figure.add_subplot(grid[1, :], sharex=top)
     _draw_curves(top, records)
     _draw_discoveries(below, records, rows)
+    end = max(record.trajectories for record in records)
+    top.set_xlim(-0.01 * end, 1.02 * end)
     if planes:
         states, _ = visited_states(shown.run_dir)
         flat = states.reshape(-1, states.shape[-1])
@@ -172,10 +174,10 @@ def _draw_curves(axis: Axes, records: Sequence[RunRecord]) -> None:
     if not alone:
         x, y = median_curve(records)
         label = "median (ended runs keep their last value)"
-        axis.plot(x, 100.0 * y, color="black", linewidth=2.2, label=label)
+        # Below the runs: where all are equal, they stay visible on it.
+        axis.plot(x, 100.0 * y, color="0.2", linewidth=3.2, label=label, zorder=1.5)
     axis.set_ylabel("last 10 states rewarded,\nlast 10 evaluations [%]", fontsize=9)
     axis.set_ylim(-2.0, 102.0)
-    axis.margins(x=0.01)
     axis.tick_params(labelbottom=False)
     axis.legend(frameon=False, fontsize=8, loc="center left")
 
@@ -217,6 +219,7 @@ def _draw_visits(axis: Axes, layout: PolicyLayout, states: Array, columns: tuple
     if drawing.draw_region(axis, layout, columns, (scales[0], scales[1])):
         axis.set_title("orange: rewarded", fontsize=8, color=drawing.ORANGE, loc="left")
     _draw_box(axis, layout, columns, (scales[0], scales[1]))
+    axis.use_sticky_edges = False
     axis.margins(0.02)
     axis.autoscale()
     axis.set_xlabel(labels[0])

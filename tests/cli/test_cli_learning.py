@@ -1,0 +1,142 @@
+"""Records of training runs, their picture, and the document that aggregates several."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+import torch
+
+from skewmi.cli.learning import RunRecord, draw_learning, median_curve, read_record
+from skewmi.cli.main import main
+from skewmi.errors import CheckpointError
+from skewmi.sim import tasks
+from skewmi.train.config import TrainConfig
+from skewmi.train.presets import preset
+from skewmi.train.run import run_train
+
+BENCHMARK = Path(__file__).resolve().parents[2] / "benchmarks" / "open_press_close.py"
+STEPS = 800
+
+
+def short(seed: int) -> TrainConfig:
+    """Two iterations of two environments."""
+    config = preset("open_press_close", "improved")
+    rollout = replace(config.rollout, num_envs=2, evaluation_envs=1)
+    return replace(config, seed=seed, rollout=rollout, total_steps=STEPS)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    torch.set_num_threads(1)
+    folders = []
+    for seed in (4, 3):
+        config = short(seed)
+        env = tasks.make_batch(
+            config.task, 2, num_threads=1, seed=seed, **dict[str, Any](config.task_options)
+        )
+        folders.append(tmp_path_factory.mktemp("press") / f"s{seed}")
+        run_train(config, env, folders[-1], progress=False)
+    return folders
+
+
+def with_curve(record: RunRecord, curve: dict[int, float]) -> RunRecord:
+    table = {"trajectories": [float(x) for x in curve], "evaluation_share": list(curve.values())}
+    return replace(record, table=table)
+
+
+def test_record_is_what_the_run_did(runs: list[Path]) -> None:
+    record = read_record(runs[0])
+    assert record.config == short(4)
+    assert record.trajectories == 4
+    assert record.converged_at is None
+    assert set(record.discoveries) >= {"button pressed", "reward"}
+    assert record.discoveries["reward"] is None
+    x, y = record.curve
+    assert x.tolist() == [2.0, 4.0]
+    assert y.tolist() == [0.0, 0.0]
+    first = record.seconds_at(2)
+    assert first is not None
+    assert 0.0 < first < record.seconds
+    assert record.seconds_at(3) == record.seconds_at(4) == record.seconds
+    assert record.seconds_at(5) is None
+
+
+def test_median_curve_holds_ended_runs_and_skips_gaps(runs: list[Path]) -> None:
+    record = read_record(runs[0])
+    curves = [
+        {10: 0.0, 20: 1.0},
+        {10: 0.0, 20: float("nan"), 30: 0.5},
+        {20: 0.2, 40: 0.4},
+    ]
+    grid, share = median_curve([with_curve(record, curve) for curve in curves])
+    assert grid.tolist() == [10.0, 20.0, 30.0, 40.0]
+    # At 10 the third run counts with its first value.
+    assert share.tolist() == [0.0, 0.2, 0.5, 0.5]
+
+
+def test_figures_of_an_arm_run_show_learning(
+    runs: list[Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["figures", str(runs[0]), "--out", str(tmp_path), "--json"]) == 0
+    files = json.loads(capfd.readouterr().out)["files"]
+    assert [Path(file).name for file in files] == ["curves.png", "learning.png", "coverage.png"]
+    records = [read_record(run) for run in runs]
+    alone, both = (
+        iio.imread(draw_learning(chosen, tmp_path / "again.png", 100))
+        for chosen in (records[:1], records)
+    )
+    assert alone.shape == both.shape
+    assert (alone != both).any()
+    # Marks in the colour of the second run, which the first does not have.
+    second = np.array([0xE0, 0xA1, 0x3C])
+    near = [(np.abs(p[..., :3].astype(int) - second).sum(-1) < 12).sum() for p in (alone, both)]
+    assert near[1] > near[0] + 20
+
+
+def test_a_run_without_a_checkpoint_is_refused(runs: list[Path], tmp_path: Path) -> None:
+    (tmp_path / "config.json").write_text((runs[0] / "config.json").read_text())
+    with pytest.raises(CheckpointError, match=r"no readable metrics\.csv"):
+        read_record(tmp_path)
+
+
+def benchmark(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(BENCHMARK), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def test_document_keeps_failures(runs: list[Path], tmp_path: Path) -> None:
+    out = tmp_path / "result.json"
+    arguments = ["--runs", *map(str, runs), "--episodes", "2", "--out", str(out), "--json"]
+    done = benchmark(*arguments, "--concurrent", "2")
+    assert done.returncode == 0, done.stderr
+    document = json.loads(done.stdout)
+    assert document == json.loads(out.read_text())
+    assert (document["converged_runs"], document["runs_in_all"]) == (0, 2)
+    assert document["medians"]["converged_after_trajectories"] is None
+    assert document["medians"]["first_discoveries"]["reward"] is None
+    assert document["timing"]["runs_side_by_side"] == 2
+    for seed, run in zip((3, 4), document["runs"], strict=True):
+        assert run["seed"] == seed
+        assert run["environment_steps"] == STEPS
+        assert run["converged_after_seconds"] is None
+        assert run["evaluation"]["episodes"] == 2
+        assert run["evaluation"]["success_rate"] == 0.0
+        assert run["evaluation"]["contact"]["hand_force_peak_n"]["max"] >= 0.0
+        assert run["twin"] == "nominal"
+    assert iio.imread(tmp_path / "result.png").std() > 5.0
+
+
+def test_runs_that_do_not_belong_together_are_refused(runs: list[Path], tmp_path: Path) -> None:
+    done = benchmark("--runs", str(runs[0]), str(runs[0]), "--out", str(tmp_path / "x.json"))
+    assert done.returncode == 2
+    assert "repeat" in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not (tmp_path / "x.json").exists()
