@@ -253,7 +253,11 @@ def assemble_observation(layout: PolicyLayout, values: Mapping[str, Any]) -> Arr
             f"observation of task {layout.task!r} needs {missing}; got {sorted(values)}"
         )
     columns = [np.asarray(values[name], dtype=np.float64) for name in layout.observation_names]
-    return np.stack(np.broadcast_arrays(*columns), axis=-1)
+    shape = np.broadcast_shapes(*(column.shape for column in columns))
+    observation = np.empty((*shape, len(columns)))
+    for index, column in enumerate(columns):
+        observation[..., index] = column
+    return observation
 
 
 def inside_region(layout: PolicyLayout, state: Array) -> NDArray[np.bool_]:
@@ -272,9 +276,11 @@ def inside_region(layout: PolicyLayout, state: Array) -> NDArray[np.bool_]:
     names = layout.observation_names
     inside = np.ones(state.shape[:-1], dtype=np.bool_)
     for ball in layout.reward_region:
-        columns = [names.index(name) for name in ball.fields]
-        distance = np.linalg.norm(state[..., columns] - np.array(ball.centre), axis=-1)
-        inside &= distance <= ball.radius
+        square: Array | float = 0.0
+        for name, centre in zip(ball.fields, ball.centre, strict=True):
+            offset = state[..., names.index(name)] - centre
+            square = square + offset * offset
+        inside &= np.sqrt(square) <= ball.radius
     return inside
 
 

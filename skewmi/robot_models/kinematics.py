@@ -245,11 +245,10 @@ def _fill_jacobian(jacobian: Array, frames: Array) -> None:
 def _rotation_error(target: Array, actual: Array) -> Array:
     """Rotation vector that turns `actual` into `target`, both (n, 3, 3). Shape (n, 3)."""
     difference = target @ actual.transpose(0, 2, 1)
-    # Its antisymmetric part is sin(angle) times the axis.
-    vector: Array = 0.5 * (
-        difference[:, (2, 0, 1), (1, 2, 0)] - difference[:, (1, 2, 0), (2, 0, 1)]
-    )
-    cosine = 0.5 * (np.trace(difference, axis1=1, axis2=2) - 1.0)
+    entry = difference.reshape(-1, 9)
+    # The antisymmetric part is sin(angle) times the axis.
+    vector: Array = 0.5 * (entry.take((7, 2, 3), axis=1) - entry.take((5, 6, 1), axis=1))
+    cosine = 0.5 * (entry[:, 0] + entry[:, 4] + entry[:, 8] - 1.0)
     if cosine.min(initial=1.0) > -0.99:
         # angle / sin(angle), whose limit at zero is 1.
         sine = np.sqrt((vector * vector).sum(axis=1))
