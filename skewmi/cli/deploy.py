@@ -21,6 +21,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from skewmi.cli.policies import twin_option
 from skewmi.deploy import run as deploy_run
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.policy import OnnxPolicy
@@ -39,6 +40,9 @@ class DeployCommand:
     connect: str | None = None
     """Zenoh locator of a running `skewmi robot`, such as tcp/127.0.0.1:7447; without it a
     simulated robot is started for this run."""
+    twin: str | None = None
+    """How the simulated robot that is started and its scene differ from the nominal ones: a twin
+    file (YAML), or `randomised`. Each episode draws by its own seed."""
     episodes: int = 1
     """How many."""
     seed: int = 0
@@ -77,6 +81,7 @@ def deploy_policy(options: DeployCommand) -> DeployReport:
                 episodes=options.episodes,
                 seed=options.seed,
                 connect=options.connect,
+                twin=twin_option(options.twin).get("twin"),
                 lock_step=options.lock_step,
                 limits=options.limits,
                 speed=options.speed,

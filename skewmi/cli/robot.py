@@ -30,6 +30,8 @@ class RobotCommand:
     """What the robot is: the simulated YuMi."""
     task: str = "open_press_close"
     """Whose scene stands in front of the robot."""
+    twin: str | None = None
+    """How robot and scene differ from the nominal ones: a twin file (YAML), or `randomised`."""
     listen: str = DEFAULT_LOCATOR
     """Zenoh locator to listen on."""
     limits: str = "lab"
@@ -69,7 +71,7 @@ def run_robot(options: RobotCommand) -> int:
 
     run_sim_endpoint(
         config,
-        SimEndpointOptions(profile, options.task, options.lock_step),
+        SimEndpointOptions(profile, options.task, options.lock_step, options.twin),
         stop,
         on_ready=ready,
     )

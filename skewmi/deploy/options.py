@@ -18,6 +18,8 @@ class DeployOptions:
     """Of the start positions; episode k of two runs with one seed starts alike."""
     connect: str | None = None
     """Zenoh locator of a running endpoint; None starts a simulated one and ends it afterwards."""
+    twin: str | None = None
+    """Twin of the simulated endpoint that is started; not together with `connect`."""
     lock_step: bool = False
     """Endpoint and daemon wait for each other: fast and repeatable. Simulated endpoints only."""
     limits: str = "lab"
@@ -46,6 +48,11 @@ class DeployOptions:
     def __post_init__(self) -> None:
         if self.episodes < 1:
             raise ConfigurationError(f"episodes is {self.episodes}; it must be at least 1")
+        if self.twin is not None and self.connect is not None:
+            raise ConfigurationError(
+                "a twin is of the simulated robot; give --twin to the skewmi robot that --connect "
+                "names"
+            )
         if not 0.1 <= self.speed <= 1.0:
             raise ConfigurationError(f"speed is {self.speed}; it must be in 0.1..1")
         if not (8.0 <= self.lead_ms <= 100.0 and (self.lead_ms / 4.0).is_integer()):

@@ -72,7 +72,7 @@ def run_deploy(
     else:
         tell("starting the simulated robot in its own process")
         endpoint = sim_endpoint_process(
-            policy.layout.task, profile.name, lock_step=options.lock_step
+            policy.layout.task, profile.name, lock_step=options.lock_step, twin=options.twin
         )
     with endpoint as locator:
         config = TransportConfig.for_client(
@@ -111,6 +111,7 @@ def _recording(
         seed=str(options.seed),
         limit_profile=limits.name,
         robot_model_hash=yumi.MODEL_HASH,
+        **({} if options.twin is None else {"twin": options.twin}),
     )
     client = replace(config, lock_step=False)
     with Recorder(options.record, client, metadata, overwrite=options.overwrite) as recorder:

@@ -17,7 +17,9 @@ _END_TIMEOUT_S = 10.0
 
 
 @contextmanager
-def sim_endpoint_process(task: str, limits: str, *, lock_step: bool) -> Iterator[str]:
+def sim_endpoint_process(
+    task: str, limits: str, *, lock_step: bool, twin: str | None = None
+) -> Iterator[str]:
     """Run `skewmi robot --backend sim` on a free port until the block is left.
 
     The child ends with us even if we are killed: its standard input is a pipe of ours.
@@ -26,6 +28,7 @@ def sim_endpoint_process(task: str, limits: str, *, lock_step: bool) -> Iterator
         task: Whose scene.
         limits: Name of the limit profile that it enforces.
         lock_step: See `skewmi robot --help`.
+        twin: How robot and scene differ from the nominal ones; None if they do not.
 
     Yields:
         The Zenoh locator that it listens on.
@@ -37,6 +40,7 @@ def sim_endpoint_process(task: str, limits: str, *, lock_step: bool) -> Iterator
     command = [sys.executable, "-m", "skewmi.cli.main", "robot", "--backend", "sim"]
     command += ["--task", task, "--limits", limits, "--listen", locator]
     command += ["--json", "--end-with-input", *(["--lock-step"] if lock_step else [])]
+    command += [] if twin is None else ["--twin", twin]
     with TemporaryFile() as words:
         child = subprocess.Popen(
             command,

@@ -58,6 +58,8 @@ class SimEndpointOptions:
     limits: JointLimits
     task: str = "open_press_close"
     lock_step: bool = False
+    twin: str | None = None
+    """How robot and scene differ from the nominal ones, see `SimTwin`."""
     start_configuration: tuple[float, ...] | None = None
     """Where the arm is at first, chain order, rad; the task's start if not given."""
 
@@ -77,13 +79,15 @@ def run_sim_endpoint(
         on_ready: Called once everything is declared.
 
     Raises:
-        NotFoundError: No such task.
+        NotFoundError: No such task or twin.
+        ConfigurationError: The twin is not valid.
         TransportError: The port is in use.
     """
     start = options.start_configuration
     # The port first: a taken one is reported before the scene is compiled.
     with Link.open(config, NODE_NAME) as link:
-        backend = SimTwin(options.task, None if start is None else np.array(start))
+        configuration = None if start is None else np.array(start)
+        backend = SimTwin(options.task, configuration, options.twin)
         assert backend.layout.workspace is not None
         rules = ValidationRules(joint_names=backend.joint_names, grid_ns=GRID_NS)
         check = limit_check(options.limits, backend.layout.workspace)

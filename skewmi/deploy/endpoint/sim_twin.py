@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+from collections import deque
 from itertools import product
 
 import mujoco
@@ -15,6 +17,14 @@ from skewmi.policy_io import Array, PolicyLayout
 from skewmi.robot_models import yumi
 from skewmi.sim.open_press_close.definition import FINGER_MAX, make_layout
 from skewmi.sim.open_press_close.scene import OpenPressCloseScene, workspace_of
+from skewmi.sim.open_press_close.twin_fields import (
+    SensorErrors,
+    delay_substeps,
+    model_fields,
+    needs_set_const,
+    random_stream,
+)
+from skewmi.sim.twin import TwinSample, resolve
 
 SCENE_JOINTS = ("lid_hinge", "button_slide")
 """Names in the scene states: lid angle (rad), button depth (m)."""
@@ -33,17 +43,24 @@ class SimTwin:
         task: Whose scene.
         start_configuration: Where the arm is at first, rad, shape (7,); the task's start
             configuration if not given. A scene reset always goes to the task's.
+        twin: How robot and scene differ from the nominal ones: a twin file, a bundled name, or
+            JSON. Its values are drawn at each scene reset from the seed of that reset. Shapes
+            for replays stay nominal, as does all that the robot is told.
 
     Raises:
-        NotFoundError: The task has no scene with a robot.
-        ConfigurationError: The scene's time step does not divide the grid.
+        NotFoundError: The task has no scene with a robot, or there is no such twin file.
+        ConfigurationError: The scene's time step does not divide the grid, or the twin is not
+            valid.
     """
 
     name = "sim"
     simulated = True
 
     def __init__(
-        self, task: str = "open_press_close", start_configuration: Array | None = None
+        self,
+        task: str = "open_press_close",
+        start_configuration: Array | None = None,
+        twin: str | None = None,
     ) -> None:
         if task not in TWIN_TASKS:
             raise NotFoundError(
@@ -73,25 +90,37 @@ class SimTwin:
         self._finger_dof = np.array(
             [int(self.scene.model.joint(name).dofadr[0]) for name in yumi.finger_names("right")]
         )
+        self._twin = resolve(twin)
+        self._nominal_model = copy.copy(self.scene.model)
+        self._opening_error = 0.0
         self.reset_scene(seed=0)
         if start_configuration is not None:
             self._data.qpos[self.scene.arm_qpos] = start_configuration
             self._data.ctrl[self.scene.arm_ctrl] = start_configuration
+            self._hold()
             mujoco.mj_forward(self.scene.model, self._data)
 
     def measure(self) -> Measurement:
-        """Present positions, velocities and servo forces; noise-free."""
+        """Present positions, velocities and servo forces.
+
+        Positions of arm and scene have the twin's sensor errors, one draw a tick.
+        """
         data, scene = self._data, self.scene
+        arm, lid_and_button = data.qpos[scene.arm_qpos], data.qpos[self._scene_qpos]
+        if self._errors is not None:
+            on_arm, on_lid, on_button = self._errors
+            arm = arm + on_arm[0]
+            lid_and_button = lid_and_button + np.array([on_lid[0], on_button[0]])
         fingers = scene.finger_qpos
         return Measurement(
             names=self._names,
-            position=np.append(data.qpos[scene.arm_qpos], data.qpos[fingers].mean()),
+            position=np.append(arm, data.qpos[fingers].mean()),
             velocity=np.append(data.qvel[scene.arm_dof], data.qvel[self._finger_dof].mean()),
             effort=np.append(
                 data.actuator_force[scene.arm_ctrl], data.actuator_force[scene.finger_ctrl]
             ),
             scene_names=SCENE_JOINTS,
-            scene_position=data.qpos[self._scene_qpos],
+            scene_position=lid_and_button,
             scene_velocity=data.qvel[self._scene_dof],
         )
 
@@ -102,7 +131,9 @@ class SimTwin:
             BackendFaultError: MuJoCo found a state that is not physical.
         """
         controls = self.scene.controls(target.q, 0.0, target.v)
-        self._data.ctrl[self.scene.arm_ctrl] = controls[self.scene.arm_ctrl]
+        controls[self.scene.finger_ctrl] = self._finger_target
+        self._pending.append(controls)
+        self._data.ctrl[:] = self._pending.popleft()
         mujoco.mj_step(self.scene.model, self._data, self._substeps)
         raised = [
             mujoco.mjtWarning(index).name
@@ -111,6 +142,7 @@ class SimTwin:
         ]
         if raised:
             raise BackendFaultError(f"the simulation raised {', '.join(raised)}")
+        self._read_sensors()
 
     def open_gripper(self, opening: float) -> None:
         """Move each finger to `opening` m from closed.
@@ -122,19 +154,34 @@ class SimTwin:
             raise CommandRefusedError(
                 f"finger opening {opening:.4g} m is outside 0..{FINGER_MAX:g} m"
             )
-        self._data.ctrl[self.scene.finger_ctrl] = opening
+        self._finger_target = opening + self._opening_error
 
     def reset_scene(self, seed: int) -> Array:
         """Lid shut, button up, arm at the task's start configuration.
 
         Args:
-            seed: Of what varies between scenes; nothing does yet.
+            seed: Of the twin's values and sensor errors.
 
         Returns:
             Where the arm rests. Shape (7,), rad.
         """
-        del seed
+        sample = None
+        if not self._twin.is_nominal:
+            self._rng = random_stream(self._twin, seed)
+            sample = self._twin.sample(self._rng, 1)
+            self._write_model(sample)
         self.scene.reset(self._data, layout=self.layout)
+        self._sensors: SensorErrors | None = None
+        self._delay = 0
+        if sample is not None:
+            self._sensors = SensorErrors(sample)
+            self._delay = int(delay_substeps(sample)[0]) // self._substeps
+            self._opening_error = float(sample.get("gripper.opening_error")[0])
+            self._data.qpos[self.scene.finger_qpos] += self._opening_error
+            self._data.ctrl[self.scene.finger_ctrl] += self._opening_error
+            mujoco.mj_forward(self.scene.model, self._data)
+        self._hold()
+        self._read_sensors()
         start = np.array(workspace_of(self.layout).start_configuration)
         q = self._data.qpos[self.scene.arm_qpos].copy()
         # The start position decides; its configuration is the posture that inverse kinematics
@@ -144,3 +191,20 @@ class SimTwin:
                 "the task's start configuration does not put the hand at its start position"
             )
         return np.asarray(q, dtype=np.float64)
+
+    def _write_model(self, sample: TwinSample) -> None:
+        """Make the model that of the values drawn, whatever it was before."""
+        model = self.scene.model
+        fields = model_fields(self._nominal_model, sample)
+        for name, values in fields.items():
+            getattr(model, name)[:] = values[0]
+        if needs_set_const(fields):
+            mujoco.mj_setConst(model, self._data)
+
+    def _hold(self) -> None:
+        """Let the present controls be all that is on its way to the servos."""
+        self._finger_target = float(self._data.ctrl[self.scene.finger_ctrl])
+        self._pending = deque(self._data.ctrl.copy() for _ in range(self._delay))
+
+    def _read_sensors(self) -> None:
+        self._errors = None if self._sensors is None else self._sensors.draw(self._rng)

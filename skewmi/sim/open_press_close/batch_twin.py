@@ -17,11 +17,9 @@ from skewmi.sim.open_press_close.twin_fields import (
     delay_substeps,
     model_fields,
     needs_set_const,
+    random_stream,
 )
 from skewmi.sim.twin import Twin, TwinSample
-
-_STREAM = 1
-"""Keeps the twin's random stream apart from that of the start positions."""
 
 
 class BatchTwin:
@@ -47,7 +45,7 @@ class BatchTwin:
 
     def seed(self, seed: int) -> None:
         """Restart the random stream from the environment's seed."""
-        self._rng = np.random.default_rng([seed, self.twin.seed, _STREAM])
+        self._rng = random_stream(self.twin, seed)
 
     def start(self, qpos: Array, controls: Array) -> None:
         """Draw new values; write them into the models and into the start of the episode.

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from skewmi.policy_io import Array
 from skewmi.robot_models import yumi
 from skewmi.sim.open_press_close.definition import SIM_DT
-from skewmi.sim.twin import TwinSample
+from skewmi.sim.twin import Twin, TwinSample
 
 _NEEDS_SET_CONST = {"body_mass", "body_inertia", "body_pos", "body_quat", "dof_armature"}
 """Fields that constants of the model are derived from."""
@@ -20,6 +20,20 @@ SENSOR_KEYS = (
     "sensors.lid_noise_deg",
     "sensors.button_noise",
 )
+
+
+_STREAM = 1
+"""Keeps the twin's random stream apart from that of the start positions."""
+
+
+def random_stream(twin: Twin, seed: int) -> np.random.Generator:
+    """The stream that a twin's values and sensor errors are drawn from.
+
+    Args:
+        twin: Adds its own seed.
+        seed: Of the environment or of the episode.
+    """
+    return np.random.default_rng([seed, twin.seed, _STREAM])
 
 
 def model_fields(model: mujoco.MjModel, sample: TwinSample) -> dict[str, Array]:
