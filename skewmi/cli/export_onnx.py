@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import tyro
 
+from skewmi.batch_env import BatchEnv
 from skewmi.cli.policies import Which, load_run, make_env, progress_bar, task_options
 from skewmi.errors import CheckpointError, NotFoundError, VerificationError
 from skewmi.export.rollout import run_episodes, summarise
-from skewmi.policy_io import PolicyLayout
 
 if TYPE_CHECKING:
     from skewmi.train.policy import TorchPolicy
@@ -75,7 +75,7 @@ def run_export_onnx(options: ExportOnnxCommand) -> int:
     by_torch = summarise(recorded)
     metadata = {
         **from_run,
-        **robot_metadata(layout),
+        **robot_metadata(env),
         "evaluation": {**by_torch, "seed": options.seed, "num_envs": env.num_envs},
     }
     try:
@@ -124,12 +124,17 @@ def run_metadata(run_dir: Path, policy: TorchPolicy) -> dict[str, Any]:
     }
 
 
-def robot_metadata(layout: PolicyLayout) -> dict[str, Any]:
+def robot_metadata(env: BatchEnv) -> dict[str, Any]:
     """Which robot a task's arm is and what bounded its motion in training; None without an arm."""
+    layout = env.layout
     if layout.workspace is None:
         return {"robot": None, "robot_model_hash": None, "limits": None}
-    from skewmi.robot_models import servo, yumi
+    from skewmi.robot_models import yumi
     from skewmi.robot_models.kinematics import ArmKinematics
+    from skewmi.sim.open_press_close.task import OpenPressCloseBatch
+
+    # The only task with an arm so far; what its servos may do is the scene's business.
+    assert isinstance(env, OpenPressCloseBatch)
 
     arm = ArmKinematics()
     speed = layout.action_scale / layout.control_dt
@@ -139,7 +144,7 @@ def robot_metadata(layout: PolicyLayout) -> dict[str, Any]:
         "limits": {
             "joint_position_lower": arm.position_lower.tolist(),
             "joint_position_upper": arm.position_upper.tolist(),
-            "joint_force": np.asarray(servo.DEFAULT.force_limit).tolist(),
+            "joint_force": np.asarray(env.servo_parameters.force_limit).tolist(),
             "command_speed": {
                 field.name: value
                 for field, value in zip(layout.action, speed.tolist(), strict=True)

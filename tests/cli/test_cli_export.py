@@ -16,6 +16,7 @@ from skewmi.cli.main import main
 from skewmi.deploy.policy import OnnxPolicy
 from skewmi.robot_models import yumi
 from skewmi.sim import tasks
+from skewmi.sim.open_press_close.task import OpenPressCloseBatch
 from skewmi.train.checkpoint import load_policy
 
 
@@ -106,15 +107,21 @@ def test_run_with_broken_weights_is_refused_with_code_1(
 
 
 def test_arm_tasks_name_robot_and_limits_and_the_maze_has_none() -> None:
-    maze = robot_metadata(tasks.layout("point_maze"))
+    maze = robot_metadata(tasks.make_batch("point_maze", 1))
     assert set(maze.values()) == {None}
-    layout = tasks.layout("open_press_close")
+    env = tasks.make_batch("open_press_close", 1)
+    assert isinstance(env, OpenPressCloseBatch)
+    layout = env.layout
     assert layout.workspace is not None
-    arm = robot_metadata(layout)
+    arm = robot_metadata(env)
     assert set(arm) == set(maze)
     assert arm["robot_model_hash"] == yumi.MODEL_HASH
     limits = arm["limits"]
     assert len(limits["joint_position_lower"]) == len(limits["joint_force"]) == 7
+    model = env.scene.physics_model
+    np.testing.assert_array_equal(
+        limits["joint_force"], model.actuator_forcerange[env.scene.arm_ctrl, 1]
+    )
     assert limits["max_lead"] == layout.workspace.max_lead
     speed = list(limits["command_speed"].values())
     np.testing.assert_array_equal(speed, layout.action_scale / layout.control_dt)

@@ -95,6 +95,7 @@ class OpenPressCloseBatch:
             )
         self.num_envs = checked_num_envs(num_envs)
         self.layout = definition.make_layout(gripper_action=gripper_action, time_input=time_input)
+        self.servo_parameters = servo_parameters
         self.scene = OpenPressCloseScene(servo_parameters)
         self.batch = Batch(self.scene.physics_model, self.num_envs, num_threads)
         self._workspace = workspace_of(self.layout)
