@@ -123,21 +123,20 @@ class ArmKinematics:
         q_start = np.asarray(q_start, dtype=np.float64)
         shape = np.broadcast_shapes(position.shape[:-1], q_start.shape[:-1])
         n = int(np.prod(shape, dtype=int))
-        target = np.broadcast_to(position, (*shape, 3)).reshape(n, 3)
-        target_rotation = np.broadcast_to(
-            np.asarray(rotation, dtype=np.float64), (*shape, 3, 3)
-        ).reshape(n, 3, 3)
-        q = np.array(np.broadcast_to(q_start, (*shape, 7)).reshape(n, 7))
+        # One row each, or one for all: they broadcast against the rows of q below.
+        target = _rows(position, shape, (3,))
+        target_rotation = _rows(np.asarray(rotation, dtype=np.float64), shape, (3, 3))
+        q = np.empty((n, 7))
+        q[:] = _rows(q_start, shape, (7,))
         rest = None
         if posture is not None and posture_gain > 0.0:
-            rest = np.broadcast_to(np.asarray(posture, np.float64), (*shape, 7)).reshape(n, 7)
+            rest = _rows(np.asarray(posture, dtype=np.float64), shape, (7,))
         lower, upper = self.position_lower, self.position_upper
         np.clip(q, lower, upper, out=q)
 
         jacobian = np.empty((n, 6, 7))
         transposed = jacobian.transpose(0, 2, 1)
         error = np.empty((n, 6, 1))
-        identity = np.eye(6)
         iteration = 0
         while True:
             frames = self._chain(q)
@@ -155,7 +154,8 @@ class ArmKinematics:
                 break
             _fill_jacobian(jacobian, frames)
             damping = 0.5 * (position_square + rotation_square) + 1e-10
-            gram = jacobian @ transposed + damping[:, None, None] * identity
+            gram = jacobian @ transposed
+            gram.reshape(n, 36)[:, ::7] += damping[:, None]
             if relaxing and rest is not None:
                 relax = posture_gain * (rest - q)
                 demand = error - jacobian @ relax[:, :, None]
@@ -224,6 +224,13 @@ def _row_parts(row: yumi.DhRow) -> Array:
     parts[1, :2] = [[1.0, 0.0, 0.0, row.a], [0.0, cosine, -sine, 0.0]]
     parts[2, :2] = [[0.0, -cosine, sine, 0.0], [1.0, 0.0, 0.0, row.a]]
     return parts
+
+
+def _rows(values: Array, shape: tuple[int, ...], item: tuple[int, ...]) -> Array:
+    """Items of a batch as rows (n, *item), or (1, *item) for one item that all share."""
+    if values.shape != item and values.shape != (*shape, *item):
+        values = np.broadcast_to(values, (*shape, *item))
+    return values.reshape(-1, *item)
 
 
 def _as_rows(q: ArrayLike) -> tuple[Array, tuple[int, ...]]:

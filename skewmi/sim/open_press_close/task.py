@@ -98,6 +98,7 @@ class OpenPressCloseBatch:
         self.servo_parameters = servo_parameters
         self.scene = OpenPressCloseScene(servo_parameters)
         self.batch = Batch(self.scene.physics_model, self.num_envs, num_threads)
+        self._qpos = self.batch.bind("qpos")
         self._workspace = workspace_of(self.layout)
         self._hand_rotation = hand_rotation(self._workspace)
         self._randomization = Randomization() if randomization is None else randomization
@@ -138,7 +139,7 @@ class OpenPressCloseBatch:
         if self._twin is not None:
             self._twin.start(qpos, controls)
         self.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
-        self.batch.bind("qpos")[:] = qpos
+        self._qpos[:] = qpos
         self.batch.bind("ctrl")[:] = controls
         self.batch.warning[:] = 0
         self._record["sensordata"][:] = 0.0
@@ -197,17 +198,17 @@ class OpenPressCloseBatch:
             self._twin.delay(self.servo_targets)
 
     def _check_physics(self) -> None:
+        if not self.batch.warning.any():
+            return
         bad = np.flatnonzero(self.batch.warning.any(axis=1))
-        if bad.size:
-            kinds = np.flatnonzero(self.batch.warning[bad].any(axis=0))
-            names = ", ".join(mujoco.mjtWarning(int(kind)).name for kind in kinds)
-            raise SimulationError(
-                f"the simulation of environments {bad[:5].tolist()} of {self.num_envs} broke down "
-                f"at step {self._step_index + 1} ({names}); check the servo and contact parameters"
-            )
+        kinds = np.flatnonzero(self.batch.warning[bad].any(axis=0))
+        names = ", ".join(mujoco.mjtWarning(int(kind)).name for kind in kinds)
+        raise SimulationError(
+            f"the simulation of environments {bad[:5].tolist()} of {self.num_envs} broke down "
+            f"at step {self._step_index + 1} ({names}); check the servo and contact parameters"
+        )
 
     def _read(self) -> None:
-        self._qpos = self.batch.bind("qpos")
         self._errors = None if self._twin is None else self._twin.sensor_errors()
         measured = self._qpos
         if self._errors is not None:
