@@ -241,3 +241,15 @@ def test_a_warm_start_is_fast_enough_to_run_at_every_step():
     assert result.position_error.max() < 1e-6
     # About 0.5 ms on an idle core; the bound leaves room for a busy machine.
     assert min(spent) < 5e-3
+
+
+def test_unchecked_iterations_are_the_same_iterations() -> None:
+    generator = np.random.default_rng(3)
+    arm = ArmKinematics("right")
+    start = generator.uniform(-0.5, 0.5, (5, 7))
+    position, rotation = arm.forward(start + generator.uniform(-0.02, 0.02, (5, 7)))
+    two = arm.inverse(position, rotation, start, max_iterations=2)
+    unchecked = arm.inverse(position, rotation, start, unchecked_iterations=2)
+    np.testing.assert_array_equal(unchecked.q, two.q)
+    # The errors are those before the last iteration, which improves on them.
+    assert (unchecked.position_error > two.position_error).all()

@@ -181,25 +181,30 @@ class OpenPressCloseScene:
         Args:
             workspace: Gives the orientation and the posture to prefer.
             hand_position_w: World, m. Shape (n, 3).
-            q_near: Where to search from: the present command. Shape (n, 7).
+            q_near: Where to search from: the present command, one control step away at most.
+                Shape (n, 7).
 
         Returns:
             Shape (n, 7).
         """
-        return self._solve(workspace, hand_position_w, q_near).q
+        # Two iterations leave 0.011 mm and 0.003 degrees of a full step in the worst case, a
+        # tenth of what is allowed between this and the deployed solution.
+        return self._solve(workspace, hand_position_w, q_near, unchecked_iterations=2).q
 
     def _solve(
-        self, workspace: Workspace, hand_position_w: Array, q_near: Array
+        self,
+        workspace: Workspace,
+        hand_position_w: Array,
+        q_near: Array,
+        *,
+        unchecked_iterations: int | None = None,
     ) -> kinematics.InverseResult:
         return self.kinematics.inverse(
             hand_position_w - frames.BASE_IN_WORLD,
             hand_rotation(workspace),
             q_near,
             posture=np.array(workspace.start_configuration),
-            # One iteration fewer than with the solver's own tolerances; a tenth of what is
-            # allowed between this and the deployed solution.
-            position_tolerance=1e-5,
-            rotation_tolerance=5e-5,
+            unchecked_iterations=unchecked_iterations,
         )
 
     def controls(
