@@ -38,8 +38,8 @@ class DeployCommand:
     robot: Literal["sim"] = "sim"
     """Which robot: the simulated YuMi."""
     connect: str | None = None
-    """Zenoh locator of a running `skewmi robot`, such as tcp/127.0.0.1:7447; without it a
-    simulated robot is started for this run."""
+    """Zenoh locator of a running `skewmi robot`, such as tcp/127.0.0.1:7447; without it and
+    without --zenoh-config a simulated robot is started for this run."""
     twin: str | None = None
     """How the simulated robot that is started and its scene differ from the nominal ones: a twin
     file (YAML), or `randomised`. Each episode draws by its own seed."""
@@ -63,7 +63,8 @@ class DeployCommand:
     dry_run: bool = False
     """Do everything but send: the arm does not move."""
     zenoh_config: Path | None = None
-    """Zenoh configuration file (JSON5 or YAML), e.g. for TLS; --connect still applies."""
+    """Zenoh configuration file (JSON5 or YAML) that tells how and where to reach a running
+    `skewmi robot`, such as `skewmi certificates` makes; --connect overrides where."""
     json: bool = False
     """Print the report as one JSON document."""
 

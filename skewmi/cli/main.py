@@ -27,6 +27,7 @@ COMMANDS: dict[str, str] = {
     "stop": "bring the arm smoothly to rest",
     "replay": "turn a recording into a Rerun file, or show it live",
     "film": "draw an episode of a recording: film and strip of frames",
+    "certificates": "certificates and Zenoh configurations for a link between machines",
     "doctor": "what works on this machine",
 }
 """Command -> one line of help. `a-b` lives in module `a_b` as `ABCommand` and `run_a_b`."""

@@ -18,7 +18,7 @@ from rich.console import Console
 
 from skewmi.deploy.description import EndpointDescription
 from skewmi.deploy.endpoint.run import SimEndpointOptions, run_sim_endpoint
-from skewmi.deploy.wire.transport import DEFAULT_LOCATOR, TransportConfig
+from skewmi.deploy.wire.transport import TransportConfig
 from skewmi.robot_models import limits as joint_limits
 
 
@@ -32,14 +32,14 @@ class RobotCommand:
     """Whose scene stands in front of the robot."""
     twin: str | None = None
     """How robot and scene differ from the nominal ones: a twin file (YAML), or `randomised`."""
-    listen: str = DEFAULT_LOCATOR
-    """Zenoh locator to listen on."""
+    listen: str | None = None
+    """Zenoh locator to listen on; by default what --zenoh-config says, else tcp/127.0.0.1:7447."""
     limits: str = "lab"
     """Joint limit profile to enforce (lab, careful); none is verified on hardware."""
     lock_step: bool = False
     """Advance only when the daemon's chunk has arrived: as fast as possible, repeatable."""
     zenoh_config: Path | None = None
-    """Zenoh configuration file (JSON5 or YAML), e.g. for TLS; --listen still applies."""
+    """Zenoh configuration file (JSON5 or YAML), such as `skewmi certificates` makes."""
     json: bool = False
     """Print the endpoint's description as one JSON document once it is ready."""
     end_with_input: bool = False
@@ -64,10 +64,16 @@ def run_robot(options: RobotCommand) -> int:
             print(description.to_json(), flush=True)
         pace = "lock-step" if options.lock_step else "real time"
         console.print(
-            f"[bold]simulated YuMi[/] ({options.task}) listens on {options.listen}: {pace}, "
+            f"[bold]simulated YuMi[/] ({options.task}) listens on {config.where}: {pace}, "
             f"limits {profile.name}, disarmed. Ctrl-C ends it.",
             highlight=False,
         )
+        for locator in config.unprotected:
+            console.print(
+                f"[bold]anybody on the network can move the arm through {locator}[/]; "
+                "`skewmi certificates` secures the link",
+                highlight=False,
+            )
 
     run_sim_endpoint(
         config,

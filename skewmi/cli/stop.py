@@ -13,7 +13,7 @@ from pathlib import Path
 
 from skewmi.deploy.description import EndpointDescription
 from skewmi.deploy.wire import topics
-from skewmi.deploy.wire.transport import DEFAULT_LOCATOR, Link, TransportConfig
+from skewmi.deploy.wire.transport import Link, TransportConfig
 from skewmi.errors import TransportError
 
 _RESTING = ("disarmed", "fault")
@@ -23,12 +23,13 @@ _RESTING = ("disarmed", "fault")
 class StopCommand:
     """Options of `skewmi stop`."""
 
-    connect: str = DEFAULT_LOCATOR
-    """Zenoh locator of the endpoint."""
+    connect: str | None = None
+    """Zenoh locator of the endpoint; by default what --zenoh-config says, else
+    tcp/127.0.0.1:7447."""
     timeout_s: float = 5.0
     """How long to wait for the arm to rest, s."""
     zenoh_config: Path | None = None
-    """Zenoh configuration file (JSON5 or YAML); --connect still applies."""
+    """Zenoh configuration file (JSON5 or YAML), such as `skewmi certificates` makes."""
     json: bool = False
     """Print the endpoint's state as one JSON document."""
 

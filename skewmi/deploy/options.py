@@ -17,9 +17,11 @@ class DeployOptions:
     seed: int = 0
     """Of the start positions; episode k of two runs with one seed starts alike."""
     connect: str | None = None
-    """Zenoh locator of a running endpoint; None starts a simulated one and ends it afterwards."""
+    """Zenoh locator of a running endpoint; None without `zenoh_config` starts a simulated one
+    and ends it afterwards."""
     twin: str | None = None
-    """Twin of the simulated endpoint that is started; not together with `connect`."""
+    """Twin of the simulated endpoint that is started; not together with `connect` or
+    `zenoh_config`."""
     lock_step: bool = False
     """Endpoint and daemon wait for each other: fast and repeatable. Simulated endpoints only."""
     limits: str = "lab"
@@ -43,15 +45,15 @@ class DeployOptions:
     robot_model_hash: str | None = None
     """Robot model that the policy was trained with, if its file tells."""
     zenoh_config: Path | None = None
-    """Zenoh configuration file."""
+    """Zenoh configuration file; says where a running endpoint is unless `connect` does."""
 
     def __post_init__(self) -> None:
         if self.episodes < 1:
             raise ConfigurationError(f"episodes is {self.episodes}; it must be at least 1")
-        if self.twin is not None and self.connect is not None:
+        if self.twin is not None and (self.connect or self.zenoh_config) is not None:
             raise ConfigurationError(
                 "a twin is of the simulated robot; give --twin to the skewmi robot that --connect "
-                "names"
+                "or --zenoh-config names"
             )
         if not 0.1 <= self.speed <= 1.0:
             raise ConfigurationError(f"speed is {self.speed}; it must be in 0.1..1")

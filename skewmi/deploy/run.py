@@ -59,15 +59,15 @@ def run_deploy(
         )
     report = DeployReport(
         task=policy.layout.task,
-        robot=options.connect or "sim",
+        robot=options.connect or str(options.zenoh_config or "sim"),
         limit_profile=profile.name,
         speed=options.speed,
         lock_step=options.lock_step,
         dry_run=options.dry_run,
         planned_episodes=options.episodes,
     )
-    endpoint: AbstractContextManager[str]
-    if options.connect is not None:
+    endpoint: AbstractContextManager[str | None]
+    if options.connect is not None or options.zenoh_config is not None:
         endpoint = nullcontext(options.connect)
     else:
         tell("starting the simulated robot in its own process")

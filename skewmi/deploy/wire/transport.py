@@ -32,7 +32,7 @@ from typing import Any, Self
 
 import zenoh
 
-from skewmi.deploy.wire import messages, ros2_keys
+from skewmi.deploy.wire import messages, ros2_keys, tls_diagnosis, zenoh_file
 from skewmi.deploy.wire.channels import Handler, LatestReader, Publisher, Sample, Service
 from skewmi.deploy.wire.liveliness import Graph
 from skewmi.deploy.wire.ros2_keys import QOS_BEST_EFFORT_1, QOS_RELIABLE_10, EntityKind
@@ -55,7 +55,10 @@ class TransportConfig:
     listen: tuple[str, ...] = ()
     """Zenoh locators to listen on."""
     zenoh_config: Path | None = None
-    """Zenoh configuration file (JSON5 or YAML); `connect` and `listen`, if given, override it."""
+    """Zenoh configuration file (JSON5 or YAML); `connect` and `listen`, if given, override it.
+    What it leaves open is as without it, see `zenoh_file`."""
+    endpoint: bool = False
+    """Whether this session is a robot endpoint's, which listens if nothing says where."""
     lock_step: bool = False
     """Block rather than drop when the link is congested."""
     domain: int = 0
@@ -73,46 +76,39 @@ class TransportConfig:
             raise ConfigurationError(f"ROS 2 domain {self.domain} is not in 0..232")
 
     @staticmethod
-    def for_endpoint(listen: str = DEFAULT_LOCATOR, **options: Any) -> TransportConfig:
-        """Configuration of a robot endpoint."""
-        return TransportConfig(listen=(listen,), **options)
+    def for_endpoint(listen: str | None = None, **options: Any) -> TransportConfig:
+        """Configuration of a robot endpoint; by default what the file says, else loopback."""
+        return TransportConfig(listen=() if listen is None else (listen,), endpoint=True, **options)
 
     @staticmethod
-    def for_client(connect: str = DEFAULT_LOCATOR, **options: Any) -> TransportConfig:
-        """Configuration of a daemon, a stop command or a watcher."""
-        return TransportConfig(connect=(connect,), **options)
+    def for_client(connect: str | None = None, **options: Any) -> TransportConfig:
+        """Configuration of a daemon, a stop command or a watcher; by default as for_endpoint."""
+        return TransportConfig(connect=() if connect is None else (connect,), **options)
 
     def zenoh(self) -> Any:
         """The Zenoh configuration.
 
         Raises:
-            ConfigurationError: The file is missing or Zenoh refuses it.
+            ConfigurationError: The file or a file it names is missing, or Zenoh refuses it.
         """
-        if self.zenoh_config is not None:
-            if not self.zenoh_config.is_file():
-                raise ConfigurationError(f"no Zenoh configuration file at {self.zenoh_config}")
-            try:
-                config = zenoh.Config.from_file(str(self.zenoh_config))
-            except zenoh.ZError as error:
-                raise ConfigurationError(
-                    f"Zenoh cannot use {self.zenoh_config}: {_first_line(error)}"
-                ) from error
-        else:
-            config = zenoh.Config()
-            config.insert_json5("mode", '"router"' if self.listen else '"client"')
-            config.insert_json5("scouting/multicast/enabled", "false")
-            config.insert_json5("scouting/gossip/enabled", "false")
-            config.insert_json5("listen/timeout_ms", "0")
-            config.insert_json5("listen/exit_on_failure", "true")
-            config.insert_json5("connect/timeout_ms", str(round(1e3 * self.connect_timeout_s)))
-            config.insert_json5("connect/exit_on_failure", "true")
+        listens = self.listens
+        defaults = {
+            "mode": "router" if listens else "client",
+            "scouting/multicast/enabled": False,
+            "scouting/gossip/enabled": False,
+            "listen/timeout_ms": 0,
+            "listen/exit_on_failure": True,
+            "connect/timeout_ms": round(1e3 * self.connect_timeout_s),
+            "connect/exit_on_failure": True,
             # Zenoh's two 64 KiB batches fill while a receiver is not scheduled for a moment;
             # sixteen, the most it allows, ride out about a second of a running arm.
-            for priority in ("real_time", "interactive_high"):
-                config.insert_json5(f"transport/link/tx/queue/size/{priority}", "16")
-            config.insert_json5("connect/endpoints", "[]")
-            config.insert_json5("listen/endpoints", "[]")
-        if self.connect:
+            "transport/link/tx/queue/size/real_time": 16,
+            "transport/link/tx/queue/size/interactive_high": 16,
+            "listen/endpoints": [DEFAULT_LOCATOR] if listens else [],
+            "connect/endpoints": [] if listens else [DEFAULT_LOCATOR],
+        }
+        config = zenoh_file.load(self.zenoh_config, defaults)
+        if self.connect or (self.listen and self.zenoh_config is None):
             config.insert_json5("connect/endpoints", json.dumps(self.connect))
         if self.listen:
             config.insert_json5("listen/endpoints", json.dumps(self.listen))
@@ -121,7 +117,18 @@ class TransportConfig:
     @property
     def where(self) -> str:
         """The locators, for messages."""
-        return ", ".join((*self.connect, *self.listen)) or str(self.zenoh_config)
+        return ", ".join(zenoh_file.locators(self.zenoh(), "listen" if self.listens else "connect"))
+
+    @property
+    def listens(self) -> bool:
+        """Whether others connect to this session."""
+        return self.endpoint or bool(self.listen)
+
+    @property
+    def unprotected(self) -> tuple[str, ...]:
+        """Locators on which other machines reach this session without a certificate."""
+        config = self.zenoh()
+        return tuple(filter(zenoh_file.is_unprotected, zenoh_file.locators(config, "listen")))
 
 
 class Link:
@@ -155,7 +162,7 @@ class Link:
         try:
             session = zenoh.open(zenoh_config)
         except zenoh.ZError as error:
-            raise _explain(error, config) from error
+            raise _explain(error, config, zenoh_config) from error
         return Link(session, config, node_name)
 
     @property
@@ -248,7 +255,9 @@ class Link:
                 if reply.ok is not None:
                     return messages.decode_trigger_reply(reply.ok.payload.to_bytes())
         except zenoh.ZError as error:
-            raise TransportError(f"cannot call {name.name}: {_first_line(error)}") from error
+            raise TransportError(
+                f"cannot call {name.name}: {zenoh_file.first_line(error)}"
+            ) from error
         raise TransportError(
             f"no answer from {name.name} at {self._config.where} within {timeout_s:g} s"
         )
@@ -316,24 +325,25 @@ class Link:
         return ros2_keys.gid(token)
 
 
-def _explain(error: Exception, config: TransportConfig) -> TransportError:
+def _explain(error: Exception, config: TransportConfig, zenoh_config: Any) -> TransportError:
     text = str(error)
+    where = ", ".join(zenoh_file.locators(zenoh_config, "connect")) or config.where
     if "in use" in text:
-        for locator in config.listen:
-            _, _, address = locator.partition("/")
+        for locator in zenoh_file.locators(zenoh_config, "listen"):
+            protocol, _, address = locator.partition("/")
             host, _, port = address.rpartition(":")
             return TransportError(
                 f"port {port} on {host} is in use: another endpoint or a Zenoh router runs there; "
-                "stop it or use --listen tcp/127.0.0.1:PORT"
+                f"stop it or use --listen {protocol}/{host}:PORT"
             )
     if "connect" in text.lower():
+        reason = tls_diagnosis.why_not_connected(zenoh_config)
+        if reason is not None:
+            return TransportError(f"no secured link to {where}: {reason}")
         return TransportError(
-            f"no robot endpoint answers at {config.where} within {config.connect_timeout_s:g} s; "
+            f"no robot endpoint answers at {where} within {config.connect_timeout_s:g} s; "
             "start one with `skewmi robot`"
         )
-    return TransportError(f"cannot open a Zenoh session at {config.where}: {_first_line(error)}")
-
-
-def _first_line(error: Exception) -> str:
-    """Zenoh's message without the places in its source that it appends."""
-    return re.sub(r" at /\S+:\d+\.", "", str(error)).splitlines()[0]
+    return TransportError(
+        f"cannot open a Zenoh session at {config.where}: {zenoh_file.first_line(error)}"
+    )

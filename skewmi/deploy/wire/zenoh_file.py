@@ -1,0 +1,112 @@
+"""Reads a user's Zenoh configuration file, and fills in what it leaves open.
+
+Zenoh by itself listens on every interface and looks for others by multicast. A file that says
+nothing about that must not open the robot to the network, so what it leaves out is filled in
+with our defaults rather than with Zenoh's. Paths of certificates and keys are relative to the
+file, so that a folder with all of them can be copied anywhere.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import zenoh
+
+from skewmi.errors import ConfigurationError
+
+_FILES = (
+    "root_ca_certificate",
+    "listen_certificate",
+    "listen_private_key",
+    "connect_certificate",
+    "connect_private_key",
+)
+
+
+def load(path: Path | None, defaults: Mapping[str, Any]) -> Any:
+    """A Zenoh configuration.
+
+    Args:
+        path: The user's file, JSON5 or YAML; None for the defaults alone.
+        defaults: Zenoh's path of a setting -> our value where the file has none.
+
+    Raises:
+        ConfigurationError: The file or one that it names is missing, or Zenoh refuses it.
+    """
+    pristine = zenoh.Config()
+    config = zenoh.Config() if path is None else _read(path)
+    for key, value in defaults.items():
+        # Zenoh does not tell whether a value was given; one that equals its own default is taken
+        # as not given.
+        if config.get_json(key) == pristine.get_json(key):
+            config.insert_json5(key, json.dumps(value))
+    if path is not None:
+        _resolve_files(config, path)
+    return config
+
+
+def locators(config: Any, side: str) -> list[str]:
+    """Where a configuration connects to or listens.
+
+    Args:
+        config: A Zenoh configuration.
+        side: "connect" or "listen".
+    """
+    endpoints = json.loads(config.get_json(f"{side}/endpoints"))
+    if isinstance(endpoints, dict):  # a list for each mode
+        endpoints = endpoints.get(json.loads(config.get_json("mode")), [])
+    return [endpoint for endpoint in endpoints if isinstance(endpoint, str)]
+
+
+def is_unprotected(locator: str) -> bool:
+    """Whether whoever reaches a locator from another machine is let in without a certificate.
+
+    Only links that stay on this machine and TLS count as protected; whether TLS asks for the
+    client's certificate is for the rest of the configuration to say.
+    """
+    protocol, _, address = locator.partition("/")
+    if protocol in ("tls", "quic", "unixsock-stream", "unixpipe"):
+        return False
+    host = address.partition("#")[0].partition("?")[0].rpartition(":")[0].strip("[]")
+    if host == "localhost":
+        return False
+    try:
+        return not ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return True
+
+
+def first_line(error: Exception) -> str:
+    """Zenoh's message without the places in its source that it appends."""
+    return re.sub(r" at /\S+:\d+\.", "", str(error)).splitlines()[0]
+
+
+def _read(path: Path) -> Any:
+    if not path.is_file():
+        raise ConfigurationError(f"no Zenoh configuration file at {path}")
+    try:
+        return zenoh.Config.from_file(str(path))
+    except zenoh.ZError as error:
+        raise ConfigurationError(f"Zenoh cannot use {path}: {first_line(error)}") from error
+
+
+def _resolve_files(config: Any, path: Path) -> None:
+    """Make the paths of certificates and keys absolute, and see whether they can be read."""
+    for name in _FILES:
+        key = f"transport/link/tls/{name}"
+        given = json.loads(config.get_json(key))
+        if given is None:
+            continue
+        file = (path.parent / given).absolute()
+        try:
+            file.read_bytes()
+        except OSError as error:
+            raise ConfigurationError(
+                f"cannot read {file} ({error.strerror}), the {name} that {path} names"
+            ) from error
+        config.insert_json5(key, json.dumps(str(file)))
