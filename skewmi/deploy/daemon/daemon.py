@@ -243,6 +243,7 @@ class Daemon:
         self._robot.arm()
         if self._description.simulated:
             self._robot.reset_scene(seed)
+        self._clock_ns = self._robot.describe().clock_ns
         self._open_gripper(self._workspace.gripper_opening)
         self._observer.forget()
         state = self._observer.next_state()

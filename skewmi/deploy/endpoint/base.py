@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -14,6 +15,9 @@ GRID_NS = 4_000_000
 
 STATE_PERIOD_TICKS = 5
 """Joint and scene states are published every 5 ticks, 20 ms: the daemon's planner cycle."""
+
+_CLOCK_STARTS_S = (1 << 28, 1 << 30)
+"""Range of the clock's start, s: it fits a ROS time stamp for decades to come."""
 
 
 class BackendFaultError(SkewmiError):
@@ -78,3 +82,14 @@ class RobotBackend(Protocol):
         Raises:
             CommandRefusedError: The scene is real.
         """
+
+
+def fresh_tick() -> int:
+    """A tick for an endpoint's clock to start from, on a full second.
+
+    Drawn at random, so that what was recorded from one run of an endpoint (a bag that somebody
+    plays, a captured message) is never due in another: its stamps are years away. The time of
+    day would not do, because robots without a clock battery start again at the same time.
+    """
+    low_s, high_s = _CLOCK_STARTS_S
+    return (low_s + secrets.randbelow(high_s - low_s)) * 1_000_000_000 // GRID_NS

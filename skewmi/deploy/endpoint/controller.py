@@ -57,6 +57,7 @@ class EndpointController:
         on_transition: Called after every change of state.
         lease_ns: Silence after which the commander loses the arm.
         tracking_limit: Joint error that counts as a fault, rad.
+        first_tick: What the clock starts from, see `base.fresh_tick`.
     """
 
     def __init__(
@@ -67,15 +68,16 @@ class EndpointController:
         *,
         lease_ns: int = LEASE_NS,
         tracking_limit: float = TRACKING_LIMIT,
+        first_tick: int = 0,
     ) -> None:
         self._backend = backend
         self._validator = validator
         self._tracking_limit = tracking_limit
         self.machine = StateMachine(ENDPOINT_TABLE, on_transition)
         self.lease = CommanderLease(lease_ns)
-        self.tick_index = 0
+        self.tick_index = first_tick
         """The tick that is due next."""
-        self.plan = PlanExecutor(self.measure().position[: len(backend.joint_names)])
+        self.plan = PlanExecutor(self.measure().position[: len(backend.joint_names)], first_tick)
         self.newest_tick = -1
         """First tick of the newest accepted chunk."""
         self.accepted = 0
@@ -230,15 +232,20 @@ class EndpointController:
         q = self._backend.reset_scene(seed)
         self.plan.rest_at(q, self.tick_index)
 
-    def open_gripper(self, opening: float, gid: bytes) -> None:
+    def open_gripper(self, opening: float, gid: bytes, sequence: int | None = None) -> None:
         """Move the fingers, for the commander only.
+
+        Args:
+            opening: Travel of each finger from closed, m.
+            gid: Who published it.
+            sequence: Its number, counted by the publisher; None is not looked at.
 
         Raises:
             CommandRefusedError: Not armed, another commander, or not an opening.
         """
         if self.state not in ACCEPTS_COMMANDS:
             raise CommandRefusedError(f"the endpoint is {self.state.value}; arm it first")
-        self.lease.check_gripper(gid)
+        self.lease.check_gripper(gid, sequence)
         self._backend.open_gripper(opening)
 
     def _fire(self, event: EndpointEvent, reason: str) -> None:

@@ -23,6 +23,8 @@ class CommanderLease:
         """Sequence number of the last accepted message of the holder."""
         self.gripper_holder: bytes | None = None
         """The commander's publisher of gripper commands; None before it is known."""
+        self.gripper_sequence = 0
+        """Sequence number of its last accepted message."""
         self._renewed_ns: int | None = None
 
     def open(self, now_ns: int) -> None:
@@ -42,7 +44,7 @@ class CommanderLease:
         """Nobody commands."""
         self.holder = None
         self.gripper_holder = None
-        self.sequence = 0
+        self.sequence = self.gripper_sequence = 0
         self._renewed_ns = None
 
     def expired(self, now_ns: int) -> bool:
@@ -64,8 +66,12 @@ class CommanderLease:
                 f"sequence {sequence} does not follow {self.sequence}: repeated or overtaken"
             )
 
-    def check_gripper(self, gid: bytes) -> None:
+    def check_gripper(self, gid: bytes, sequence: int | None = None) -> None:
         """As `check`, for gripper commands; the first sender becomes the only one.
+
+        Args:
+            gid: Of the sender.
+            sequence: Of the message; None is not looked at.
 
         Raises:
             CommandRefusedError: Names both.
@@ -75,6 +81,13 @@ class CommanderLease:
                 f"sender {gid.hex()[:8]} is not the gripper's commander "
                 f"{self.gripper_holder.hex()[:8]}"
             )
+        if sequence is not None:
+            if sequence <= self.gripper_sequence:
+                raise CommandRefusedError(
+                    f"gripper sequence {sequence} does not follow {self.gripper_sequence}: "
+                    "repeated or overtaken"
+                )
+            self.gripper_sequence = sequence
         self.gripper_holder = gid
 
     def renew(self, gid: bytes, sequence: int, now_ns: int) -> None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skewmi.deploy.description import EndpointDescription
-from skewmi.deploy.endpoint.base import GRID_NS
+from skewmi.deploy.endpoint.base import GRID_NS, fresh_tick
 from skewmi.deploy.endpoint.controller import LEASE_NS, EndpointController
 from skewmi.deploy.endpoint.executor import PlanPoint
 from skewmi.deploy.endpoint.server import EndpointServer, ServerOptions
@@ -95,6 +95,7 @@ def run_sim_endpoint(
             backend,
             ChunkValidator(rules, check),
             lease_ns=LOCK_STEP_LEASE_NS if options.lock_step else LEASE_NS,
+            first_tick=fresh_tick(),
         )
         server = EndpointServer(
             backend, controller, link, ServerOptions(options.limits, options.lock_step)

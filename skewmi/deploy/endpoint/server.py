@@ -1,6 +1,7 @@
 """The endpoint on its wires: clock, topics and services around the controller.
 
-Real time: the clock is the count of 4 ms ticks since the start, driven by the monotonic clock.
+Real time: the clock counts 4 ms ticks from a start that differs each time (`base.fresh_tick`),
+driven by the monotonic clock.
 Lock-step: the clock moves by one state period (20 ms) once a chunk that starts at or after it
 has been accepted, as fast as both sides can; without a commander it stands still.
 """
@@ -23,6 +24,7 @@ from skewmi.deploy.endpoint.base import (
 )
 from skewmi.deploy.endpoint.controller import EndpointController, Refusal
 from skewmi.deploy.endpoint.states import ACCEPTS_COMMANDS, EndpointState
+from skewmi.deploy.endpoint.validation import check_fresh
 from skewmi.deploy.state_machine import Transition
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.channels import Request
@@ -165,8 +167,10 @@ class EndpointServer:
         gripper = self._gripper.take()
         if gripper is not None:
             try:
-                opening = float(decode_joint_states(gripper.payload).position[0])
-                self._controller.open_gripper(opening, gripper.gid)
+                command = decode_joint_states(gripper.payload)
+                check_fresh(command.stamp_ns, self._controller.clock_ns)
+                opening = float(command.position[0])
+                self._controller.open_gripper(opening, gripper.gid, gripper.sequence)
             except (CommandRefusedError, TransportError, IndexError) as error:
                 self._controller.note_refusal(Refusal(f"gripper: {error}"))
         for service in self._services:

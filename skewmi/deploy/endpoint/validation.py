@@ -24,6 +24,9 @@ class BrokenStreamError(CommandRefusedError):
     """
 
 
+MAX_COMMAND_AGE_NS = 2_000_000_000
+"""How far a gripper command's stamp may be from now: what a busy computer may need at worst."""
+
 LimitCheck = Callable[[Array, Array, Array, PlanPoint], object]
 """(q, v, a, plan at the chunk's first tick) -> raises LimitViolationError."""
 
@@ -140,6 +143,24 @@ def check_time(chunk: TrajectoryChunk, rules: ValidationRules, now: int) -> int:
             f"at most {rules.max_ahead_ns / 1e6:g} ms are allowed"
         )
     return tick
+
+
+def check_fresh(stamp_ns: int, clock_ns: int) -> None:
+    """A command without a place in the plan must have been made just now.
+
+    Args:
+        stamp_ns: Of the command, in the endpoint's clock.
+        clock_ns: That clock now.
+
+    Raises:
+        CommandRefusedError: How old the command is.
+    """
+    age_ns = clock_ns - stamp_ns
+    if abs(age_ns) > MAX_COMMAND_AGE_NS:
+        raise CommandRefusedError(
+            f"the command is {age_ns / 1e9:.6g} s old by the endpoint's clock; "
+            f"at most {MAX_COMMAND_AGE_NS / 1e9:g} s are allowed"
+        )
 
 
 def check_splice(chunk: TrajectoryChunk, present: PlanPoint, rules: ValidationRules) -> None:
