@@ -222,8 +222,8 @@ class Daemon:
             self._robot.stop()
         except SkewmiError as error:
             go_on = False
-            self._fire(DaemonEvent.FAULT, str(error))
-            outcome, reason = DaemonState.FAULT, str(error)
+            outcome, reason = DaemonState.FAULT, f"{reason}; then {error}"
+            self._fire(DaemonEvent.FAULT, reason)
         self._fire(DaemonEvent.AT_REST, f"after {outcome.value}")
         steps = self._runner.steps
         words = "stopped" if outcome is DaemonState.STOPPING else outcome.value
@@ -245,9 +245,7 @@ class Daemon:
             self._robot.reset_scene(seed)
         self._clock_ns = self._robot.describe().clock_ns
         self._open_gripper(self._workspace.gripper_opening)
-        self._observer.forget()
-        state = self._observer.next_state()
-        self._observer.check_scene()
+        state = self._observer.fresh_state()
         return state, np.array(self._robot.describe().commanded_position)
 
     def _supervise(self, state: ArmState) -> None:
@@ -266,8 +264,7 @@ class Daemon:
     def _resync(self) -> tuple[Array, ArmState]:
         q = self._robot.wait_for_hold()
         self._stream.missed_cycles += 1
-        self._observer.forget()
-        return q, self._observer.next_state()
+        return q, self._observer.fresh_state()
 
     def _open_gripper(self, opening: float) -> None:
         self._robot.open_gripper(opening, self._clock_ns)

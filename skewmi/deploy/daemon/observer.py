@@ -26,6 +26,9 @@ LOCK_STEP_PATIENCE_S = 30.0
 SCENE_FIELDS = {"lid_hinge": "lid_angle", "button_slide": "button_depth"}
 """Name of a joint in the scene states -> observation field that it is."""
 
+_FIRST_STATES = 5
+"""Joint states that may come before the first scene state."""
+
 _POLL_S = 250e-6
 _EARLY_S = 0.002
 
@@ -96,6 +99,7 @@ class Observer:
         self._scene_queue: list[JointStates] = []
         self._scene_values: dict[str, float] = {}
         self._scene_received_ns = 0
+        self._scene_stamp_ns = 0
         self._scene_fields = set(layout.observation_names) & set(SCENE_FIELDS.values())
         self._order: tuple[tuple[str, ...], list[int], int] | None = None
 
@@ -133,6 +137,25 @@ class Observer:
             if state is None:
                 time.sleep(20e-6 if self._lock_step else _POLL_S)
 
+    def fresh_state(self) -> ArmState:
+        """Forget everything, and wait for a joint state with the scene state that belongs to it.
+
+        Raises:
+            StaleStateError: One of them does not come.
+            TransportError: A state is malformed.
+        """
+        self.forget()
+        self._scene_values.clear()
+        state = self.next_state()
+        # Forgetting may fall between a scene state and the joint state that follows it.
+        for _ in range(_FIRST_STATES):
+            if not self._missing():
+                break
+            self._arm = None  # in lock-step the same state is repeated
+            state = self.next_state()
+        self.check_scene()
+        return state
+
     def forget(self) -> None:
         """Drop whatever has been received: what comes next is newer than this call."""
         self._joints.drain()
@@ -147,15 +170,21 @@ class Observer:
         Raises:
             StaleStateError: Fields that the policy needs are missing or too old.
         """
-        missing = self._scene_fields - set(self._scene_values)
-        if missing:
-            raise StaleStateError(f"the scene states lack {sorted(missing)}")
+        if self._missing():
+            raise StaleStateError(f"the scene states lack {self._missing()}")
         age_s = (time.monotonic_ns() - self._scene_received_ns) / 1e9
+        if self._arm is not None:
+            # A publisher that hangs may repeat an old state for ever: its stamp tells.
+            age_s = max(age_s, (self._arm.stamp_ns - self._scene_stamp_ns) / 1e9)
         if self._scene_fields and not self._lock_step and age_s > MAX_SCENE_AGE_S:
             raise StaleStateError(
                 f"the scene state is {1e3 * age_s:.0f} ms old; at most "
                 f"{1e3 * MAX_SCENE_AGE_S:.0f} ms are allowed"
             )
+
+    def _missing(self) -> list[str]:
+        """Fields that the policy needs and that no scene state has told."""
+        return sorted(self._scene_fields - set(self._scene_values))
 
     def hand_position(self, state: ArmState) -> Array:
         """Measured hand in world by forward kinematics, m. Shape (3,)."""
@@ -226,6 +255,7 @@ class Observer:
             self._scene_queue[0].stamp_ns <= stamp_ns or not self._lock_step
         ):
             message = self._scene_queue.pop(0)
+            self._scene_stamp_ns = message.stamp_ns
             for name, value in zip(message.names, message.position, strict=True):
                 if name in SCENE_FIELDS:
                     self._scene_values[SCENE_FIELDS[name]] = float(value)

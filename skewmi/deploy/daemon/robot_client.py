@@ -55,6 +55,7 @@ class RobotClient:
         self._status = link.subscribe(topics.YUMI_STATUS, depth=None)
         self._refused = 0
         self._armed = False
+        self._heard = False
 
     def describe(self) -> EndpointDescription:
         """What the endpoint is and does now.
@@ -78,8 +79,8 @@ class RobotClient:
         if not self._dry_run:
             self._call(topics.YUMI_ARM, self._commands.gid + self._gripper.gid)
             self._armed = True
-        for sample in self._status.drain():
-            self._note_refusals(decode_status(sample.payload))
+        self._refused, self._heard = 0, False
+        self._news()
 
     def put_chunk(self, payload: bytes) -> None:
         """Send an encoded chunk."""
@@ -105,10 +106,7 @@ class RobotClient:
             CommandRefusedError: It refused a command for another reason.
             TransportError: It is in fault.
         """
-        for sample in self._status.drain():
-            status = decode_status(sample.payload)
-            if status.name != ROBOT_STATUS_NAME or self._dry_run:
-                continue
+        for status in self._news():
             says = status.values.get("state")
             if says == EndpointState.FAULT.value:
                 raise TransportError(f"the endpoint is in {status.message}")
@@ -137,8 +135,8 @@ class RobotClient:
             if time.monotonic() > deadline:
                 raise TransportError(f"the arm does not rest within {REST_TIMEOUT_S:g} s")
             time.sleep(0.02)
-        for sample in self._status.drain():
-            self._note_refusals(decode_status(sample.payload))
+        for status in self._news():
+            self._note_refusals(status)
         return np.array(description.commanded_position)
 
     def stop(self) -> None:
@@ -159,11 +157,35 @@ class RobotClient:
             time.sleep(0.005)
         self._armed = False
 
+    def _news(self) -> list[Status]:
+        """What the endpoint has said, oldest first, since it first named us its commander.
+
+        What it said before it was armed, such as that it is disarmed, may arrive after the
+        answer to our arming.
+        """
+        news = []
+        for sample in self._status.drain():
+            status = decode_status(sample.payload)
+            if status.name != ROBOT_STATUS_NAME or self._dry_run:
+                continue
+            self._heard = self._heard or self._is_ours(status)
+            if self._heard:
+                news.append(status)
+        return news
+
+    def _is_ours(self, status: Status) -> bool:
+        return status.values.get("commander") == self._commands.gid.hex()
+
     def _note_refusals(self, status: Status) -> bool:
-        """Whether the endpoint has refused more than it had when last heard."""
-        if status.name != ROBOT_STATUS_NAME:
+        """Whether the endpoint has refused more of ours than it had when last heard.
+
+        What it refused of others, or before we armed, is none of our business: else anybody
+        could stop us with a chunk of his own.
+        """
+        if not self._is_ours(status):
             return False
-        before, self._refused = self._refused, int(status.values.get("refused", "0"))
+        before = self._refused
+        self._refused = int(status.values.get("refused_of_commander", "0"))
         return self._refused > before
 
     def _call(self, service: topics.Service, request: bytes = b"") -> TriggerReply:

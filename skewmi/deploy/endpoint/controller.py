@@ -46,6 +46,8 @@ class Refusal(NamedTuple):
     """Whether it came too late or after a lost one, and was otherwise fine."""
     stamp_ns: int | None = None
     """Of the refused chunk, if it was one."""
+    of_commander: bool = False
+    """Whether the one who holds the arm sent it."""
 
 
 class EndpointController:
@@ -82,6 +84,8 @@ class EndpointController:
         """First tick of the newest accepted chunk."""
         self.accepted = 0
         self.refused = 0
+        self.refused_of_commander = 0
+        """Since the present commander armed."""
         self.refusals: list[Refusal] = []
 
     @property
@@ -119,7 +123,8 @@ class EndpointController:
             self._accept(chunk, gid, sequence, now_ns)
         except (CommandRefusedError, TransportError) as error:
             out_of_step = isinstance(error, BrokenStreamError)
-            self.note_refusal(Refusal(str(error), out_of_step, stamp_ns))
+            ours = gid == self.lease.holder
+            self.note_refusal(Refusal(str(error), out_of_step, stamp_ns, ours))
             return False
         self.accepted += 1
         return True
@@ -127,6 +132,7 @@ class EndpointController:
     def note_refusal(self, refusal: Refusal) -> None:
         """Count a refused command, for the status."""
         self.refused += 1
+        self.refused_of_commander += refusal.of_commander
         self.refusals.append(refusal)
 
     def take_refusals(self) -> list[Refusal]:
@@ -201,8 +207,10 @@ class EndpointController:
             )
         gid, gripper = gids[:16], gids[16:32]
         if self.state in ACCEPTS_COMMANDS and gid and gid == self.lease.holder:
+            self.refused_of_commander = 0
             return
         self.lease.open(now_ns)
+        self.refused_of_commander = 0
         self.lease.holder, self.lease.gripper_holder = gid or None, gripper or None
         # The arm may have sagged or been pushed while disarmed: hold where it is commanded.
         self._fire(EndpointEvent.ARM, f"armed by {gid.hex()[:8] or 'a service call'}")

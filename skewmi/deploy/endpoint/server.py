@@ -172,7 +172,8 @@ class EndpointServer:
                 opening = float(command.position[0])
                 self._controller.open_gripper(opening, gripper.gid, gripper.sequence)
             except (CommandRefusedError, TransportError, IndexError) as error:
-                self._controller.note_refusal(Refusal(f"gripper: {error}"))
+                ours = gripper.gid == self._controller.lease.gripper_holder
+                self._controller.note_refusal(Refusal(f"gripper: {error}", of_commander=ours))
         for service in self._services:
             service.poll()
         if self._controller.refused != self._refused_seen:
@@ -223,7 +224,8 @@ class EndpointServer:
             "refused": str(controller.refused),
             "refusal": "; ".join(refusal.reason for refusal in refusals[:_SHOWN_REFUSALS]),
             "refused_stamps_ns": " ".join(str(refusal.stamp_ns) for refusal in refusals),
-            "out_of_step": str(all(refusal.out_of_step for refusal in refusals)),
+            "out_of_step": str(all(r.out_of_step for r in refusals if r.of_commander)),
+            "refused_of_commander": str(controller.refused_of_commander),
             "commander": (controller.lease.holder or b"").hex(),
             "slips": str(self.slips),
         }

@@ -1,0 +1,20 @@
+"""Makes the modules of this folder importable, and lends benches to run cells on."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from fault_benches import Benches
+
+
+@pytest.fixture(scope="session")
+def benches(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Benches]:
+    lent = Benches(tmp_path_factory.mktemp("faults"))
+    yield lent
+    lent.close()
