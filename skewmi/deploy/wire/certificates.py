@@ -181,7 +181,7 @@ def write_certificates(
         # Made with mode 0700, as mkdtemp does.
         draft = Path(tempfile.mkdtemp(prefix=f".{directory.name}.", dir=directory.parent))
         try:
-            _write_roles(draft, plan, begins, ends)
+            write_roles(draft, plan, Authority.make(begins, ends), begins, ends)
             _replace(directory, draft)
         finally:
             shutil.rmtree(draft, ignore_errors=True)
@@ -191,15 +191,33 @@ def write_certificates(
     return WrittenCertificates(directory, ends, files)
 
 
-def _write_roles(
-    draft: Path, plan: CertificatePlan, begins: datetime.datetime, ends: datetime.datetime
-) -> None:
-    authority = Authority.make(begins, ends)
+def write_roles(
+    directory: Path,
+    plan: CertificatePlan,
+    authority: Authority,
+    begins: datetime.datetime,
+    ends: datetime.datetime,
+) -> dict[Role, str]:
+    """Write the folder of each role into an existing directory.
+
+    Args:
+        directory: Where; it has no folders of roles yet.
+        plan: Hosts and port.
+        authority: Signs.
+        begins: When the certificates become valid.
+        ends: When they end.
+
+    Returns:
+        The common name in each role's certificate, by which the access rules know it.
+
+    Raises:
+        OSError: Something cannot be written.
+    """
     # A common name of this issue alone: the access rules name exactly these certificates.
     issue = secrets.token_hex(8)
     common_names = {role: f"skewmi-{role.value}-{issue}" for role in Role}
     for role in Role:
-        folder = draft / role.value
+        folder = directory / role.value
         folder.mkdir(mode=0o700)
         hosts = plan.hosts if role is Role.ENDPOINT else ()
         certificate, key = authority.sign(common_names[role], begins, ends, hosts)
@@ -209,6 +227,7 @@ def _write_roles(
         locator = plan.listen_locator if role is Role.ENDPOINT else plan.connect_locator
         text = zenoh_configuration(role, locator, common_names, plan.domain)
         _write(folder / CONFIG_FILE, text.encode(), 0o644)
+    return common_names
 
 
 def certificate_pem(certificate: x509.Certificate) -> bytes:

@@ -73,4 +73,7 @@ def _handshake(context: ssl.SSLContext, host: str, port: int) -> str | None:
 
 def _words(error: Exception) -> str:
     reason = getattr(error, "reason", None)
-    return reason.replace("_", " ").lower() if isinstance(reason, str) else str(error)
+    if isinstance(reason, str):
+        return reason.replace("_", " ").lower()
+    # As OpenSSL says "PEM lib" of a file that holds something else.
+    return "not a PEM file of the right kind" if "PEM lib" in str(error) else str(error)

@@ -112,6 +112,7 @@ class TransportConfig:
             config.insert_json5("connect/endpoints", json.dumps(self.connect))
         if self.listen:
             config.insert_json5("listen/endpoints", json.dumps(self.listen))
+        zenoh_file.check_protocols(config, self.zenoh_config)
         return config
 
     @property

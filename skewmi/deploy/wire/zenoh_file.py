@@ -19,6 +19,8 @@ import zenoh
 
 from skewmi.errors import ConfigurationError
 
+_PLACE_IN_SOURCE = r" at /\S+:\d+\."
+
 _FILES = (
     "root_ca_certificate",
     "listen_certificate",
@@ -63,6 +65,20 @@ def locators(config: Any, side: str) -> list[str]:
     return [endpoint for endpoint in endpoints if isinstance(endpoint, str)]
 
 
+def check_protocols(config: Any, path: Path | None) -> None:
+    """See whether a configuration allows the links that it asks for.
+
+    Raises:
+        ConfigurationError: A locator's protocol is not among those that the file allows.
+    """
+    allowed = json.loads(config.get_json("transport/link/protocols"))
+    for locator in (*locators(config, "listen"), *locators(config, "connect")):
+        if allowed is not None and locator.partition("/")[0] not in allowed:
+            raise ConfigurationError(
+                f"{locator} is not among the protocols that {path} allows ({', '.join(allowed)})"
+            )
+
+
 def is_unprotected(locator: str) -> bool:
     """Whether whoever reaches a locator from another machine is let in without a certificate.
 
@@ -83,7 +99,7 @@ def is_unprotected(locator: str) -> bool:
 
 def first_line(error: Exception) -> str:
     """Zenoh's message without the places in its source that it appends."""
-    return re.sub(r" at /\S+:\d+\.", "", str(error)).splitlines()[0]
+    return re.sub(_PLACE_IN_SOURCE, "", str(error)).splitlines()[0]
 
 
 def _read(path: Path) -> Any:
@@ -92,7 +108,13 @@ def _read(path: Path) -> Any:
     try:
         return zenoh.Config.from_file(str(path))
     except zenoh.ZError as error:
-        raise ConfigurationError(f"Zenoh cannot use {path}: {first_line(error)}") from error
+        # A syntax error is a little drawing: the place, the line, an arrow, what was expected.
+        place = re.match(r"\s*--> (\d+):(\d+)", str(error))
+        expected = re.search(r"^\s*= (.*)$", re.sub(_PLACE_IN_SOURCE, "", str(error)), re.MULTILINE)
+        words = first_line(error)
+        if place and expected:
+            words = f"line {place[1]}, column {place[2]}: {expected[1]}"
+        raise ConfigurationError(f"Zenoh cannot use {path}: {words}") from error
 
 
 def _resolve_files(config: Any, path: Path) -> None:
