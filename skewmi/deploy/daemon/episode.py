@@ -119,7 +119,8 @@ class EpisodeRunner:
                 if error > REACHED:
                     raise CommandRefusedError(
                         f"the arm stands {error:.3f} rad from the start configuration; "
-                        f"at most {REACHED} rad are allowed: is something in its way?"
+                        f"at most {REACHED} rad are allowed: is something in its way, or were "
+                        "commands lost?"
                     )
                 return state
         raise CommandRefusedError(f"{START_ATTEMPTS} start motions came too late; is the CPU free?")

@@ -33,7 +33,7 @@ def run_matrix() -> bool:
                 if isinstance(expect, DoesNotApply):
                     continue
                 started = time.monotonic()
-                observed = benches.observe(row.fault, phase)
+                observed = benches.observe(row.fault, phase, expect.matches)
                 right = expect.matches(observed)
                 good = good and right
                 tell(
