@@ -1,9 +1,9 @@
 """Who is on the link: the liveliness tokens of all nodes, kept up to date by Zenoh.
 
-A sample carries only its publisher's gid; the token it is the hash of also names the session.
-That is how an endpoint knows that a chunk comes from the session that armed it, and that a
-commander has left. A crashed process may keep its tokens for the ten seconds of Zenoh's
-lease, so this is bookkeeping and no watchdog.
+A sample carries only its publisher's gid; the token it is the hash of also names the session and
+the node, and its end tells that they have left. A crashed process may keep its tokens for the ten
+seconds of Zenoh's lease, and who may publish tokens may publish false ones: this is bookkeeping,
+no watchdog and no proof of identity.
 """
 
 from __future__ import annotations
