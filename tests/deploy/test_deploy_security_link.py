@@ -135,7 +135,9 @@ class Briefly(ScriptedOpenPressClose):
         return super().act(observation)
 
 
-def test_deploy_runs_and_records_over_the_secured_link(tmp_path: Path) -> None:
+def test_deploy_runs_and_records_over_the_secured_link(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     link = SecuredLink(tmp_path)
     with robot_process("--zenoh-config", str(link.file(Role.ENDPOINT)), "--lock-step"):
         path = tmp_path / "run.mcap"
@@ -151,8 +153,14 @@ def test_deploy_runs_and_records_over_the_secured_link(tmp_path: Path) -> None:
             assert recorded[topic.name], f"{topic.name} was not recorded"
         # The same from the command line, with a policy file; nothing is started beside it.
         policy = next((Path(main.__code__.co_filename).parents[1] / "policies").glob("*.onnx"))
-        arguments = ["--zenoh-config", str(link.file(Role.COMMANDER)), "--dry-run"]
-        assert main(["deploy", str(policy), *arguments]) == 2, "real time against lock-step"
+        arguments = ["--zenoh-config", str(link.file(Role.COMMANDER)), "--lock-step", "--json"]
+        assert main(["deploy", str(policy), *arguments]) == 0
+        said = json.loads(capsys.readouterr().out)
+        assert said["episodes"] == 1
+        assert said["robot"] == str(link.file(Role.COMMANDER))
+        # Real time against lock-step: it is this endpoint that was asked, none of its own.
+        assert main(["deploy", str(policy), *arguments[:2]]) == 2
+        assert "lock-step" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("own_rules", [True, False], ids=["as made", "own rules removed"])

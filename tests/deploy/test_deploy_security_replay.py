@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 import numpy as np
 import pytest
 import zenoh
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from secured_link import robot_process
 
 from skewmi.deploy.daemon.endpoint_process import free_port
 from skewmi.deploy.description import EndpointDescription
@@ -191,24 +187,6 @@ def test_clocks_start_years_apart_and_fit_a_ros_stamp() -> None:
 # Over the wire, with the very bytes.
 
 
-@contextmanager
-def robot_process(locator: str) -> Iterator[subprocess.Popen[bytes]]:
-    command = [sys.executable, "-m", "skewmi.cli.main", "robot", "--listen", locator, "--json"]
-    process = subprocess.Popen(
-        [*command, "--end-with-input"],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-    )
-    try:
-        assert process.stdout is not None
-        assert json.loads(process.stdout.readline())["state"] == "disarmed"
-        yield process
-    finally:
-        process.kill()
-        process.wait()
-
-
 def describe(link: Link) -> EndpointDescription:
     return EndpointDescription.from_json(link.call(topics.YUMI_DESCRIBE, 5.0).message)
 
@@ -236,7 +214,7 @@ def test_bytes_put_again_over_the_wire_are_refused_with_the_reason() -> None:
     chunk_key = ros2_keys.data_key(0, topics.YUMI_TRAJECTORY)
     gripper_key = ros2_keys.data_key(0, topics.YUMI_GRIPPER)
     recorded: list[tuple[str, bytes, bytes]] = []
-    with robot_process(locator), Link.open(config, "first") as link:
+    with robot_process("--listen", locator), Link.open(config, "first") as link:
         status = link.subscribe(topics.YUMI_STATUS, depth=None)
         publisher = link.publisher(topics.YUMI_TRAJECTORY)
         gripper = link.publisher(topics.YUMI_GRIPPER)
@@ -297,7 +275,7 @@ def test_bytes_put_again_over_the_wire_are_refused_with_the_reason() -> None:
 
     # The endpoint is started again, and armed for the recorded senders.
     with (
-        robot_process(locator),
+        robot_process("--listen", locator),
         zenoh.open(config.zenoh()) as other,
         Link.open(config, "second") as link,
     ):
