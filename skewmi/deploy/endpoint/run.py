@@ -15,13 +15,16 @@ from skewmi.deploy.endpoint.executor import PlanPoint
 from skewmi.deploy.endpoint.server import EndpointServer, ServerOptions
 from skewmi.deploy.endpoint.sim_twin import SimTwin
 from skewmi.deploy.endpoint.validation import ChunkValidator, LimitCheck, ValidationRules
-from skewmi.deploy.limits import ChunkChecker
+from skewmi.deploy.limits import WORKSPACE_TOLERANCE, ChunkChecker
 from skewmi.deploy.wire.transport import Link, TransportConfig
 from skewmi.policy_io import Array, Workspace
 from skewmi.robot_models.kinematics import ArmKinematics
 from skewmi.robot_models.limits import JointLimits
 
 NODE_NAME = "skewmi_robot"
+
+_ROUNDING = 1e-6
+"""m"""
 
 LOCK_STEP_LEASE_NS = 20_000_000_000
 """In lock-step the arm waits for a commander however slow; only a dead one loses it."""
@@ -31,7 +34,8 @@ def limit_check(limits: JointLimits, workspace: Workspace) -> LimitCheck:
     """The limits that the endpoint enforces: joints and hand speed always, the box from inside.
 
     A motion that starts outside the box (on the way to the start pose) is only checked for joint
-    limits and hand speed; once the arm is inside, it cannot leave.
+    limits and hand speed; once the arm is inside, it cannot leave. The room that the checker
+    leaves around the box counts as inside: else the way out would lead through it.
 
     Args:
         limits: Of the joints.
@@ -41,10 +45,12 @@ def limit_check(limits: JointLimits, workspace: Workspace) -> LimitCheck:
     anywhere = ChunkChecker(limits, None, forward)
     inside = ChunkChecker(limits, workspace, forward)
     base = np.array(workspace.base_position)
-    low, high = np.array(workspace.low) - base, np.array(workspace.high) - base
+    room = WORKSPACE_TOLERANCE + _ROUNDING
+    low, high = np.array(workspace.low) - base - room, np.array(workspace.high) - base + room
 
     def check(q: Array, v: Array, a: Array, present: PlanPoint) -> object:
-        start, _ = forward(q[0])
+        # Where the accepted plan is: the chunk may differ from it by the splice's tolerance.
+        start, _ = forward(present.q)
         checker = inside if bool(((low <= start) & (start <= high)).all()) else anywhere
         return checker.check(q, v, a, previous=present)
 
