@@ -30,10 +30,13 @@ STEPS = 18
 """Control steps after which a run ends by itself."""
 RESUMED_STEPS = 5
 REST_TIMEOUT_S = 10.0
-ATTEMPTS = 3
+ATTEMPTS = 5
 """For runs that a busy machine spoils."""
+MOVED = 0.005
+"""Way of the hand that shows that it can be used, m."""
 RESUMED_SPREAD = 0.01
 """m"""
+RESUMED_LEAD_MS = 60.0
 
 
 class Phase(Enum):
@@ -51,8 +54,8 @@ DISARMED = "rests, disarmed"
 """Of an arm whose daemon is dead."""
 
 
-BUSY = ("no new joint state for", "start motions came too late")
-"""Reasons that a run may stop for on a machine that has no time for it."""
+BUSY = ("no new joint state for", "start motions came too late", "missed ")
+"""What is said of a run on a machine that has no time for it."""
 
 
 class NotReachedError(Exception):
@@ -126,6 +129,8 @@ class Fault:
     lock_step: bool = False
     proxied: bool = False
     """Whether there is a TCP proxy between daemon and link."""
+    lead_ms: float = 40.0
+    """See `DeployOptions`. More than its default, for the same reason as `ATTEMPTS`."""
     clock_jump_s: int = 0
     """By how much the wall clock is to jump, which needs a bench with such a clock."""
 
@@ -182,6 +187,7 @@ def run_cell(fault: Fault, phase: Phase, bench: Bench) -> Observed:
             lock_step=fault.lock_step,
             steps=STEPS,
             spread=SPREAD,
+            lead_ms=fault.lead_ms,
             plant=fault.plant,
             stop_with_plant=phase is Phase.STOPPING,
             began=cell.began,
@@ -217,7 +223,8 @@ def _schedule(fault: Fault, phase: Phase, cell: Cell) -> None:
 
     if phase is Phase.STOPPING and fault.after_stop is not None:
         cell.link.on_stopped = stopped
-    cell.link.when_moving("to start" if phase is Phase.START else "running", begin)
+    daemon_state = "to start" if phase is Phase.START else "running"
+    cell.link.when_moving(daemon_state, fault.lead_ms, begin)
 
 
 def _said(report: dict[str, Any] | None, link: FaultLink, cell: Cell) -> str:
@@ -265,7 +272,11 @@ def _resume(bench: Bench) -> None:
     first_row = len(robot.rows())
     for _ in range(ATTEMPTS):
         report = bench.daemon.run(
-            robot.locator, lock_step=robot.lock_step, steps=RESUMED_STEPS, spread=RESUMED_SPREAD
+            robot.locator,
+            lock_step=robot.lock_step,
+            steps=RESUMED_STEPS,
+            spread=RESUMED_SPREAD,
+            lead_ms=RESUMED_LEAD_MS,
         )
         assert report is not None
         (episode,) = report["per_episode"]
@@ -275,5 +286,5 @@ def _resume(bench: Bench) -> None:
     assert episode["steps"] == RESUMED_STEPS
     end = np.array(_wait_for_rest(robot).commanded_position)
     motion = Motion.of(robot.rows()[first_row:], end)
-    assert motion.path_length() > 0.02, "it did not move"
+    assert motion.path_length() > MOVED, "it did not move"
     assert_safe(motion)

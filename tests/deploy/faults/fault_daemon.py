@@ -26,9 +26,8 @@ from skewmi.deploy.run import run_deploy
 from skewmi.policy_io import Array
 from skewmi.sim.open_press_close.definition import make_layout
 
-SEED = 3
-LEAD_MS = 40.0
-"""More than the default: other work on the machine shall not look like a fault."""
+SEED = 33
+"""Of a long start motion: 0.3 s."""
 Y_TURN = 0.11
 """Where the sweep turns back, m."""
 
@@ -80,7 +79,7 @@ def run(order: dict[str, Any], stop: threading.Event, trigger: threading.Event) 
         lock_step=order["lock_step"],
         seed=SEED,
         start_spread=order["spread"],
-        lead_ms=LEAD_MS,
+        lead_ms=order["lead_ms"],
     )
     with ExitStack() as stack:
         for target, name, replacement in planted.patches():
@@ -143,6 +142,7 @@ class DaemonProcess:
         lock_step: bool,
         steps: int,
         spread: float,
+        lead_ms: float,
         plant: str = "nothing",
         stop_with_plant: bool = False,
         began: Callable[[float], None] = lambda time_s: None,
@@ -157,6 +157,7 @@ class DaemonProcess:
             lock_step=lock_step,
             steps=steps,
             spread=spread,
+            lead_ms=lead_ms,
             plant=plant,
             stop_with_plant=stop_with_plant,
         )

@@ -89,6 +89,8 @@ class FaultLink:
         self.times: dict[str, list[tuple[int, int]]] = {}
         """Topic -> (our monotonic clock, sender's wall clock) of all messages, ns."""
         self._phase = ""
+        self._lead_ns = 0
+        self._moves_ns: int | None = None
         self._awaited: tuple[str, Callable[[], None]] | None = None
         self._queue: list[tuple[float, int, Message]] = []
         self._order = itertools.count()
@@ -134,9 +136,14 @@ class FaultLink:
         self._daemon.close()
         self._robot.close()
 
-    def when_moving(self, phase: str, action: Callable[[], None]) -> None:
-        """Call `action` once, before the next chunk that moves the arm in a daemon's phase."""
+    def when_moving(self, phase: str, lead_ms: float, action: Callable[[], None]) -> None:
+        """Call `action` once, when the arm moves in a daemon's phase and the next chunk comes.
+
+        A chunk moves the arm `lead_ms` after it was sent.
+        """
         self._awaited = (phase, action)
+        self._lead_ns = round(lead_ms * 1e6)
+        self._moves_ns = None
 
     def send(self, message: Message, delay_s: float = 0.0) -> None:
         """To the endpoint, now or later, whatever the faults."""
@@ -183,11 +190,14 @@ class FaultLink:
         if topic is not topics.YUMI_TRAJECTORY:
             self._put(self._to_robot[topic.name], message)
             return
-        awaited = self._awaited is not None and self._awaited[0] == self._phase
-        if awaited and np.abs(message.chunk.v[0]).max() > MOVING:
-            assert self._awaited is not None
-            action, self._awaited = self._awaited[1], None
-            action()
+        if self._awaited is not None and self._awaited[0] == self._phase:
+            chunk = message.chunk
+            moves = np.abs(chunk.v[0]).max() > MOVING
+            if moves and self._moves_ns is None:
+                self._moves_ns = chunk.stamp_ns
+            if moves and chunk.stamp_ns - (self._moves_ns or 0) >= self._lead_ns:
+                action, self._awaited = self._awaited[1], None
+                action()
         self.last_chunk = message
         deliveries = [(0.0, message)] if self.on_chunk is None else self.on_chunk(message)
         for delay_s, out in deliveries:

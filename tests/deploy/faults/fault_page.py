@@ -28,11 +28,10 @@ In every cell, besides what it shows:
 - The words in the cell are in the daemon's report or in the endpoint's status.
 - Afterwards the endpoint is disarmed, and another run arms it and moves the arm.
 
-Verdicts: **goes on**: the run goes on as if nothing had been (a busy computer may add a missed
-cycle). **rests, goes on**: the arm rests on the way, then the same run goes on; the report counts
-missed cycles. **stopped**, **fault**: the outcome of the episode; the arm rests, disarmed.
-**rests as asked**: as without the fault. **rests, disarmed**: the same, and there is no daemon left
-to report.
+Verdicts: **goes on**: the run goes on as if nothing had been. **rests, goes on**: the arm rests on
+the way, then the same run goes on; the report counts missed cycles. **stopped**, **fault**: the
+outcome of the episode; the arm rests, disarmed. **rests as asked**: as without the fault.
+**rests, disarmed**: the same, and there is no daemon left to report.
 """
 
 NOTES = """\
@@ -47,7 +46,8 @@ NOTES = """\
   business. (A simulated arm ends with its process; motion is judged up to that moment.) Ended by
   a signal it can answer, the endpoint brakes first.
 - Nothing depends on wall clocks: they only label messages.
-- A delay shorter than `--lead-ms` less 6 ms does nothing; these runs use 40 ms.
+- A delay shorter than `--lead-ms` less 6 ms does nothing; these runs use 40 ms. On a busy computer
+  a run may miss cycles without any fault; then the cell is run again.
 - Chunks that come twice or overtaken end the run: no link that we know does this by itself.
 """
 
