@@ -1,7 +1,7 @@
 """A ROS 2 node without ROS 2 and without skewmi, in a process of its own.
 
-Keys, tokens, attachments and type hashes are those of zenoh-ros2-sdk; rosbags with its own ROS 2
-Jazzy definitions decodes and encodes every payload a second time. Of skewmi it knows nothing.
+Keys, tokens, attachments and type hashes are those of zenoh-ros2-sdk; two other CDR codecs read
+and write every payload once more. Of skewmi it knows nothing.
 
 One request a line on standard input, `{"do": NAME, ...}`; one answer a line on standard output:
 what the method of that name returns, or `{"error": ...}`. The SDK fetches message definitions by
@@ -10,7 +10,6 @@ git unless it finds them in a folder: here they are written to one.
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import os
 import sys
@@ -25,38 +24,18 @@ os.environ["GIT_PYTHON_REFRESH"] = "quiet"  # no git is needed where no definiti
 import numpy as np
 import zenoh
 import zenoh_ros2_sdk as sdk
+from ros2_codecs import (
+    DEFINITIONS,
+    RESPONSE,
+    TRIGGER,
+    TRIGGER_REQUEST,
+    TRIGGER_RESPONSE,
+    Codecs,
+    plain,
+)
 from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores, get_typestore
 from zenoh_ros2_sdk.attachment import Attachment
 from zenoh_ros2_sdk.qos import QosProfile
-
-DEFINITIONS = {
-    "builtin_interfaces/msg/Time": "int32 sec\nuint32 nanosec",
-    "builtin_interfaces/msg/Duration": "int32 sec\nuint32 nanosec",
-    "std_msgs/msg/Header": "builtin_interfaces/Time stamp\nstring frame_id",
-    "sensor_msgs/msg/JointState": (
-        "std_msgs/Header header\nstring[] name\n"
-        "float64[] position\nfloat64[] velocity\nfloat64[] effort"
-    ),
-    "trajectory_msgs/msg/JointTrajectory": (
-        "std_msgs/Header header\nstring[] joint_names\nJointTrajectoryPoint[] points"
-    ),
-    "trajectory_msgs/msg/JointTrajectoryPoint": (
-        "float64[] positions\nfloat64[] velocities\nfloat64[] accelerations\nfloat64[] effort\n"
-        "builtin_interfaces/Duration time_from_start"
-    ),
-    "diagnostic_msgs/msg/DiagnosticArray": (
-        "std_msgs/Header header\ndiagnostic_msgs/DiagnosticStatus[] status"
-    ),
-    "diagnostic_msgs/msg/DiagnosticStatus": (
-        "byte OK=0\nbyte WARN=1\nbyte ERROR=2\nbyte STALE=3\n"
-        "byte level\nstring name\nstring message\nstring hardware_id\nKeyValue[] values"
-    ),
-    "diagnostic_msgs/msg/KeyValue": "string key\nstring value",
-}
-TRIGGER = "std_srvs/srv/Trigger"
-TRIGGER_REQUEST = "# no fields"  # the SDK takes an empty text for a missing one
-TRIGGER_RESPONSE = "bool success\nstring message"
 
 
 class Subscriber(sdk.ROS2Subscriber):
@@ -89,18 +68,7 @@ class Peer:
             file.write_text(text)
         sdk.get_registry(self._folder.name)
         self._manager = sdk.ZenohSession.get_instance("127.0.0.1", port)
-        self._jazzy = get_typestore(Stores.ROS2_JAZZY)
-        self._jazzy.register(
-            {
-                f"{TRIGGER}_Response": (
-                    [],
-                    [
-                        ("success", (Nodetype.BASE, ("bool", 0))),
-                        ("message", (Nodetype.BASE, ("string", 0))),
-                    ],
-                )
-            }
-        )
+        self._codecs = Codecs()
         self._subscribers: dict[str, Subscriber] = {}
         self._publishers: dict[tuple[str, str], Any] = {}
         self._clients: dict[str, Any] = {}
@@ -108,7 +76,7 @@ class Peer:
 
     def about(self) -> dict[str, Any]:
         """Whose code runs here."""
-        packages = ("zenoh-ros2-sdk", "rosbags", "eclipse-zenoh")
+        packages = ("zenoh-ros2-sdk", "rosbags", "mcap-ros2-support", "eclipse-zenoh")
         return {name: version(name) for name in packages} | {
             "skewmi": [name for name in sys.modules if name.partition(".")[0] == "skewmi"],
             "session": self._manager.session_id,
@@ -147,18 +115,9 @@ class Peer:
         subscriber = self._subscribers[topic]
         taken = []
         for message, sample in subscriber.take():
-            payload = sample.payload.to_bytes()
-            again = self._jazzy.deserialize_cdr(payload, subscriber.msg_type)
-            encoded = bytes(self._jazzy.serialize_cdr(again, subscriber.msg_type))
-            message = None if message is None else dataclasses.asdict(message)
-            taken.append(
-                {
-                    "message": message,
-                    "attachment": self._attachment(sample),
-                    "same_in_rosbags": as_json(message) == as_json(dataclasses.asdict(again)),
-                    "same_bytes": encoded == payload,
-                }
-            )
+            judged = self._codecs.judge(sample.payload.to_bytes(), subscriber.msg_type)
+            judged["same_values"] &= plain(message) == judged["message"]
+            taken.append(judged | {"attachment": self._attachment(sample)})
         return taken
 
     def publisher(self, topic: str, type_name: str, name: str = "") -> dict[str, Any]:
@@ -183,10 +142,10 @@ class Peer:
     def call(self, service: str) -> dict[str, Any] | None:
         """Call a Trigger service through the SDK."""
         reply = self._client(service).call()
-        return None if reply is None else dataclasses.asdict(reply)
+        return None if reply is None else plain(reply)
 
     def call_raw(self, service: str) -> list[dict[str, Any]]:
-        """Call it once more as rmw_zenoh does; all replies as they came, decoded by rosbags."""
+        """Call it once more as rmw_zenoh does; all replies as they came."""
         client = self._client(service)
         request = Attachment(77, time.time_ns(), client.client_gid)
         replies = self._manager.session.get(
@@ -199,17 +158,9 @@ class Peer:
         )
         answers = []
         for reply in replies:
-            payload = reply.ok.payload.to_bytes()
-            message = self._jazzy.deserialize_cdr(payload, f"{TRIGGER}_Response")
-            encoded = bytes(self._jazzy.serialize_cdr(message, f"{TRIGGER}_Response"))
-            answers.append(
-                {
-                    "message": dataclasses.asdict(message),
-                    "attachment": self._attachment(reply.ok),
-                    "client": client.client_gid.hex(),
-                    "same_bytes": encoded == payload,
-                }
-            )
+            judged = self._codecs.judge(reply.ok.payload.to_bytes(), RESPONSE)
+            attachment = self._attachment(reply.ok)
+            answers.append(judged | {"attachment": attachment, "client": client.client_gid.hex()})
         return answers
 
     def serve(self, service: str, message: str) -> dict[str, Any]:
@@ -274,10 +225,6 @@ class Peer:
         }
 
 
-def as_json(value: Any) -> str:
-    return json.dumps(value, default=lambda array: array.tolist())
-
-
 def main() -> None:
     peer = Peer(int(sys.argv[1]))
     for line in sys.stdin:
@@ -286,7 +233,7 @@ def main() -> None:
             answer = getattr(peer, request.pop("do"))(**request)
         except Exception as error:
             answer = {"error": repr(error)}
-        sys.stdout.write(as_json(answer) + "\n")
+        sys.stdout.write(json.dumps(answer) + "\n")
         sys.stdout.flush()
     # Zenoh's threads keep the interpreter; the session's tokens end with its connection.
     os._exit(0)
