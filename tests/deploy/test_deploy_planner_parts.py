@@ -79,7 +79,8 @@ def test_inverse_kinematics_solves_minks_program() -> None:
     for _ in range(50):
         q = START + rng.uniform(-0.1, 0.1, 7)
         bound = rng.uniform(0.05, 0.5, 7)
-        position = ik.place(q) + rng.uniform(-0.01, 0.01, 3)
+        # Less than 1 mm away: further away the hand gives way to the posture.
+        position = ik.place(q) + rng.uniform(-5e-4, 5e-4, 3)
         velocity = rng.uniform(-0.2, 0.2, 3)
         found = ik.solve(position, velocity, -bound, bound)
         assert found is not None
@@ -153,6 +154,14 @@ def test_slow_limits_do_not_make_the_hand_swing() -> None:
     along = planner.forward(q)[0][:, 1] - start[1]
     assert along.max() < 0.0525
     assert np.abs(along[-50:] - 0.05).max() < 1e-3
+
+
+def test_an_arm_that_is_caught_gives_way_to_its_posture() -> None:
+    """Near a singular posture with a joint at its bound the hand once swung around its target."""
+    result = planner_fuzz.run_round(280)
+    assert result["breach"] is None
+    assert result["scene"] == "singular careful"
+    assert result["return_mm"] < 1.0
 
 
 def test_fuzzing_goes_on_from_finished_rounds(tmp_path: Path) -> None:

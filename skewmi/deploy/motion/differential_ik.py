@@ -11,6 +11,16 @@ rates in 1/s: mink's task gains are k h and g h. (With mink's usual gain of 1 th
 be 1/h = 250/s, which a smoothed joint motion cannot follow: it diverges.) V enters through the
 target, x + V / k, of which the gain k h makes h (V + k e).
 
+Where the hand does not get to where it should be, because a joint is at its bound or the posture
+nearly singular, the program above may turn in circles: it is the step of a Gauss-Newton method
+whose residual does not vanish, which is stable only with a damping of about residual times
+curvature. So there the posture's weight grows with the hand's distance d from where it should be,
+
+    c^2 = c0^2 + p w max(0, d - 1 mm),
+
+and p with the time for which the hand has waited there in vain, until the arm gives way, towards
+the posture, from where the hand can go everywhere in its box.
+
 mink gives kinematics and the weighted hand task; the program itself is put together here, since its
 posture is a diagonal and its bounds are on single joints, and handed to daqp. A test compares with
 `mink.solve_ik`, which takes twice as long.
@@ -41,8 +51,22 @@ ORIENTATION_COST = 0.3
 """Per radian: 0.3 m of lever, about the arm's, makes both errors comparable."""
 
 POSTURE_COST = 3e-3
-"""c per radian. It is also what damps motion near singular postures: a singular value s of the
+"""c0 per radian. It is also what damps motion near singular postures: a singular value s of the
 weighted Jacobian is answered with s^2 / (s^2 + c^2) of the wanted velocity."""
+
+GIVING_WAY = 0.5
+"""w, metres per square radian: about the curvature of the hand's paths."""
+
+GIVING_WAY_FROM = 1e-3
+"""Distance of the hand from where it should be up to which c = c0, m. In motion it is 0.3 mm."""
+
+PATIENCE_S = 0.2
+"""The time of waiting in vain that doubles p."""
+
+MAX_WAIT_S = 20.0
+
+AT_REST = 1e-3
+"""Wanted speed below which the hand is waited for, m/s."""
 
 
 @cache
@@ -65,19 +89,11 @@ class DifferentialIk:
         posture: Preferred configuration q*, rad. Shape (7,).
         rotation: Wanted orientation, hand to base. Shape (3, 3).
         grid_dt: h, s.
-        feedback_rate: k, 1/s.
     """
 
-    def __init__(
-        self,
-        posture: Array,
-        rotation: Array,
-        grid_dt: float,
-        feedback_rate: float = FEEDBACK_RATE,
-    ) -> None:
+    def __init__(self, posture: Array, rotation: Array, grid_dt: float) -> None:
         model = _arm_model()
         self._dt = grid_dt
-        self._feedback_rate = feedback_rate
         self._configuration = mink.Configuration(model)
         self._site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, yumi.tool_name("right"))
         self._hand = mink.FrameTask(
@@ -85,13 +101,18 @@ class DifferentialIk:
             "site",
             position_cost=POSITION_COST,
             orientation_cost=ORIENTATION_COST,
-            gain=feedback_rate * grid_dt,
+            gain=FEEDBACK_RATE * grid_dt,
         )
         self._posture = np.array(posture, dtype=np.float64)
         self._quaternion_wxyz = mink.SO3.from_matrix(np.asarray(rotation, dtype=np.float64)).wxyz
+        self._waited_s = 0.0
         # Only bounds on single joints: no rows of a constraint matrix.
         self._rows = np.zeros((0, model.nv))
         self._sense = np.zeros(model.nv, dtype=np.intc)
+
+    def reset(self) -> None:
+        """Forget how long the hand has been waited for."""
+        self._waited_s = 0.0
 
     def place(self, q: Array) -> Array:
         """Put the model at `q` and return the hand's position, base frame, m. Shape (3,)."""
@@ -99,7 +120,14 @@ class DifferentialIk:
         position: Array = self._configuration.data.site_xpos[self._site].copy()
         return position
 
-    def solve(self, position: Array, velocity: Array, low: Array, high: Array) -> Array | None:
+    def solve(
+        self,
+        position: Array,
+        velocity: Array,
+        low: Array,
+        high: Array,
+        feedback_rate: float = FEEDBACK_RATE,
+    ) -> Array | None:
         """Joint velocities at the configuration of the last `place`.
 
         Args:
@@ -107,14 +135,16 @@ class DifferentialIk:
             velocity: How it should move, m/s. Shape (3,).
             low: Lowest joint velocities, rad/s. Shape (7,).
             high: Highest. Shape (7,).
+            feedback_rate: k, 1/s.
 
         Returns:
             rad/s, shape (7,); None if the solver fails (then the planner brakes).
         """
-        target = np.concatenate((self._quaternion_wxyz, position + velocity / self._feedback_rate))
+        target = np.concatenate((self._quaternion_wxyz, position + velocity / feedback_rate))
+        self._hand.gain = feedback_rate * self._dt
         self._hand.set_target(mink.SE3(wxyz_xyz=target))
         jacobian, error, _ = self._hand.compute_qp_residual(self._configuration)
-        cost = POSTURE_COST * POSTURE_COST
+        cost = POSTURE_COST * POSTURE_COST + self._giving_way(position, velocity)
         hessian = jacobian.T @ jacobian
         hessian.flat[:: len(self._posture) + 1] += cost
         to_posture = self._posture - self._configuration.data.qpos
@@ -126,3 +156,12 @@ class DifferentialIk:
             return None
         velocities: Array = step / self._dt
         return velocities
+
+    def _giving_way(self, position: Array, velocity: Array) -> float:
+        """What is added to c0^2 where the hand cannot follow, and count the time."""
+        away = position - self._configuration.data.site_xpos[self._site]
+        excess = float(np.sqrt(away @ away)) - GIVING_WAY_FROM
+        waiting = excess > 0.0 and velocity @ velocity < AT_REST * AT_REST
+        self._waited_s += self._dt if waiting else -self._dt
+        self._waited_s = min(max(self._waited_s, 0.0), MAX_WAIT_S)
+        return (1.0 + self._waited_s / PATIENCE_S) * GIVING_WAY * max(0.0, excess)

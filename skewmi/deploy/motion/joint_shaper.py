@@ -19,7 +19,7 @@ HARD_MARGIN = 1e-3
 the samples on both sides of it by, at most A h^2 / 8 = 3e-5 rad, many times over."""
 
 
-FEEDBACK_PHASE = 0.2
+FEEDBACK_PHASE = 0.5
 """Largest gain times delay of a feedback around the shaper, rad."""
 
 
@@ -44,6 +44,8 @@ class JointShaper:
         self.velocity = HEADROOM * limits.velocity
         self.acceleration = HEADROOM * limits.acceleration
         self.jerk = HEADROOM * limits.jerk
+        self._per_acceleration = 1.0 / self.acceleration
+        self._ramp = self.acceleration / self.jerk
         self._approach = ApproachSpeed(self.acceleration, self.jerk)
         self._grid_dt = grid_dt
         joints = self.velocity.size
@@ -68,11 +70,16 @@ class JointShaper:
         return round(seconds / self._grid_dt)
 
     def feedback_rate(self, largest: float) -> float:
-        """Gain up to which a feedback around this shaper is well damped, at most `largest`, 1/s.
+        """Gain up to which a feedback around this shaper is well damped now, at most `largest`.
 
-        The time A / J, in which an acceleration is built up, is the delay of small changes.
+        The slowest joint's delay is A / J, in which an acceleration is built up, and |v| / A, in
+        which the present velocity can be taken back: near singular postures a feedback on the
+        hand asks for large velocities.
+
+        Returns:
+            1/s.
         """
-        delay = float((self.acceleration / self.jerk).max())
+        delay = float((np.abs(self.v) * self._per_acceleration + self._ramp).max())
         return min(largest, FEEDBACK_PHASE / delay)
 
     def restore(self, q: Array, v: Array, a: Array) -> None:

@@ -118,9 +118,7 @@ class Planner:
         posture = np.array(workspace.start_configuration)
         self.hand_bounds = derive_hand_bounds(workspace, self._kinematics, limits, tcp_speed)
         self._joints = JointShaper(limits, grid_dt)
-        self._ik = DifferentialIk(
-            posture, self._rotation, grid_dt, self._joints.feedback_rate(FEEDBACK_RATE)
-        )
+        self._ik = DifferentialIk(posture, self._rotation, grid_dt)
         self._hand = CartesianShaper(
             self._low,
             self._high,
@@ -181,6 +179,7 @@ class Planner:
                 f"{np.degrees(MAX_START_TILT):.1f} deg are allowed; move to the start first"
             )
         self._joints.restore(q, _REST, _REST)
+        self._ik.reset()
         self._reseed(position, np.zeros(3))
         self._reference = Reference(self._hand.position_w)
         rows = self.samples_per_cycle + 1
@@ -263,7 +262,8 @@ class Planner:
         hand.step(self._reference, at, LEASH)
         self._shaped.append(hand.position_w)
         low, high = joints.velocity_bounds()
-        wanted = self._ik.solve(due_w - self._base, hand.velocity_w, low, high)
+        rate = joints.feedback_rate(FEEDBACK_RATE)
+        wanted = self._ik.solve(due_w - self._base, hand.velocity_w, low, high, rate)
         joints.step(_REST if wanted is None else wanted, low, high)
 
     def _resume(self, chunk: PlannedChunk, index: int) -> None:
