@@ -85,8 +85,9 @@ class Workspace:
     All vectors are in metres in the task's world frame, whose axes are parallel to the robot
     base frame; `base_position` is the origin of the robot base frame in it. The hand frame is
     the flange (tool0), z out of the flange. `hand_quaternion_wxyz` is its constant orientation
-    in world. `max_lead` bounds the distance from the measured hand to the commanded one, and
-    with it the force a stiff servo can build up against an obstacle.
+    in world. `free_lead` and `held_lead` bound how far the command may run ahead of the measured
+    hand, in full actions (each axis divided by its action scale), and with it the force that the
+    servos build up against an obstacle; see `integrate_command`.
     """
 
     low: tuple[float, float, float]
@@ -94,7 +95,8 @@ class Workspace:
     start: tuple[float, float, float]
     base_position: tuple[float, float, float]
     hand_quaternion_wxyz: tuple[float, float, float, float]
-    max_lead: float
+    free_lead: float
+    held_lead: float
     start_configuration: tuple[float, ...]
     """Joint angles, chain order 1,2,7,3,4,5,6, rad, that put the hand at `start`."""
     gripper_opening: float
@@ -312,7 +314,11 @@ def episode_success(layout: PolicyLayout, in_region: NDArray[np.bool_]) -> NDArr
 
 
 def integrate_command(
-    layout: PolicyLayout, command_position_w: Array, action: Array, hand_position_w: Array
+    layout: PolicyLayout,
+    command_position_w: Array,
+    action: Array,
+    hand_position_w: Array,
+    hand_travel_w: Array,
 ) -> Array:
     """Next commanded hand position: the action added, clipped to lead and workspace box.
 
@@ -334,10 +340,18 @@ def integrate_command(
     workspace = layout.workspace
     if workspace is None:
         raise ConfigurationError(f"task {layout.task!r} has no workspace to command a hand in")
-    step = np.clip(action[..., :3], -1.0, 1.0) * layout.action_scale[:3]
-    lead = command_position_w + step - hand_position_w
+    scale = layout.action_scale[:3]
+    error = (command_position_w - hand_position_w) / scale
+    lead = error + np.clip(action[..., :3], -1.0, 1.0)
+    # A late arm is behind its command, too, but it moves: what 40 ms of delay explain is no
+    # obstacle's doing.
+    travel = np.linalg.norm(hand_travel_w / scale, axis=-1)
+    stall = np.linalg.norm(error, axis=-1) - 0.4 * travel
+    free, held = workspace.free_lead, workspace.held_lead
+    share = np.clip((stall / held - 0.3) / 0.7, 0.0, 1.0)
+    bound = (free + share * (held - free))[..., None]
     distance = np.linalg.norm(lead, axis=-1, keepdims=True)
-    lead = lead * np.minimum(1.0, workspace.max_lead / np.maximum(distance, 1e-12))
+    lead = lead * np.minimum(1.0, bound / np.maximum(distance, 1e-12)) * scale
     target: Array = np.clip(hand_position_w + lead, workspace.low, workspace.high)
     return target
 

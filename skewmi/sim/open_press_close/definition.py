@@ -17,8 +17,10 @@ SUBSTEPS = 25
 """Physics steps per control step."""
 EPISODE_STEPS = 200
 
-HAND_STEP = 0.015
-"""Hand travel per control step and axis at action 1.0, m: 150 mm/s."""
+HAND_STEP = (0.0125, 0.0125, 0.010)
+"""Hand travel per control step along x, y, z at action 1.0, m: 125 mm/s, and 100 mm/s up and down
+(the published code moves 15, 15 and 10 mm an action). Measured: with 15 mm, a hand that meets
+something tilts by up to 2.7 degrees before the command stops."""
 FINGER_STEP = 0.0025
 """Finger travel per control step at action 1.0, m: the gripper's 25 mm/s."""
 FINGER_MAX = yumi.GRIPPER.travel
@@ -27,12 +29,14 @@ GRIPPER_OPENING = 0.014
 """Finger travel while the policy does not move the fingers, m: the bar fits between them with
 the hook behind it."""
 
-MAX_LEAD = 0.015
-"""How far the command may run ahead of the measured hand, m: one full action. With the servos of
-the scene it bounds what a blocked hand pushes with."""
+FREE_LEAD = 1.0
+HELD_LEAD = 0.3
+"""How far the command may run ahead of the measured hand, in full actions."""
 
 LID_SHUT = 0.035
 """Largest lid angle that counts as shut, rad: the lid's edge is then 5 mm above its rest."""
+BOX_TOLERANCE = 0.002
+"""How far outside its box the hand may be in the reward region, m."""
 PRESSED_MIN = 0.010
 """Smallest button depth that counts as pressed, m (the paper's 1 cm)."""
 PRESSED_MAX = 0.032
@@ -55,7 +59,8 @@ def make_layout(*, gripper_action: bool = False, time_input: bool = False) -> Po
         start=(-0.009, -0.1345, 0.270),
         base_position=(x, y, z),
         hand_quaternion_wxyz=(qw, qx, qy, qz),
-        max_lead=MAX_LEAD,
+        free_lead=FREE_LEAD,
+        held_lead=HELD_LEAD,
         start_configuration=yumi.PRESS_START_CONFIGURATION,
         gripper_opening=GRIPPER_OPENING,
     )
@@ -70,7 +75,10 @@ def make_layout(*, gripper_action: bool = False, time_input: bool = False) -> Po
     ]
     if time_input:
         observation.append(Field(TIME_FIELD, "1", "episode", 0.0, 1.0))
-    action = [ActionField(f"hand_{axis}", "m/step", "world", HAND_STEP) for axis in "xyz"]
+    action = [
+        ActionField(f"hand_{axis}", "m/step", "world", step)
+        for axis, step in zip("xyz", HAND_STEP, strict=True)
+    ]
     if gripper_action:
         action.append(ActionField("gripper", "m/step", "finger", FINGER_STEP))
     return PolicyLayout(
@@ -78,6 +86,10 @@ def make_layout(*, gripper_action: bool = False, time_input: bool = False) -> Po
         observation=tuple(observation),
         action=tuple(action),
         reward_region=(
+            *(
+                Ball((f"hand_{axis}",), ((low + high) / 2,), (high - low) / 2 + BOX_TOLERANCE)
+                for axis, low, high in zip("xyz", workspace.low, workspace.high, strict=True)
+            ),
             Ball(("lid_angle",), (0.0,), LID_SHUT),
             Ball(
                 ("button_depth",),

@@ -64,12 +64,15 @@ _FLOOR_PLATE = ((-0.80, -0.60, -0.13), (0.45, 0.60, -0.1))
 HANDLE_BAR_CENTRE = (-0.009, -0.1395, 0.116)
 """Centre of the handle's bar with the lid shut, world, m."""
 
+FRICTION = 0.5
+"""Sliding friction wherever robot and scene touch: plastic on plastic, dry."""
+
 # Contact: the dynamics live in the robot; everything here is hit by it and not by each other,
 # because lid and button are stopped by their joints.
 _CONTACT = {
     "contype": 0,
     "conaffinity": 1,
-    "friction": (0.5, 0.005, 0.0001),
+    "friction": (FRICTION, 0.005, 0.0001),
     "solref": (0.01, 1.0),
     "solimp": (0.95, 0.99, 0.001, 0.5, 2.0),
 }

@@ -110,6 +110,7 @@ class OpenPressCloseBatch:
         self._rng = np.random.default_rng(seed)
         self._step_index = -1
         self._command_position_w = np.empty((self.num_envs, 3))
+        self._hand_position_w = np.empty((self.num_envs, 3))
         self._command_q = np.empty((self.num_envs, 7))
         self._command_opening = np.empty(self.num_envs)
         # Held from step to step, because allocating them costs as much as several substeps.
@@ -145,6 +146,7 @@ class OpenPressCloseBatch:
         self._record["sensordata"][:] = 0.0
         self._step_index = 0
         self._read()
+        self._hand_before_w = self._hand_position_w
         return self._observe()[0]
 
     def step(self, action: Array) -> StepResult:
@@ -181,7 +183,11 @@ class OpenPressCloseBatch:
         """Turn actions into the servos' targets at every substep."""
         q_before, opening_before = self._command_q, self._command_opening
         self._command_position_w = integrate_command(
-            self.layout, self._command_position_w, action, self._hand_position_w
+            self.layout,
+            self._command_position_w,
+            action,
+            self._hand_position_w,
+            self._hand_position_w - self._hand_before_w,
         )
         self._command_q = self.scene.arm_positions(
             self._workspace, self._command_position_w, q_before
@@ -214,6 +220,7 @@ class OpenPressCloseBatch:
         if self._errors is not None:
             measured = measured.copy()
             measured[:, self.scene.arm_qpos] += self._errors[0]
+        self._hand_before_w = self._hand_position_w
         self._hand_position_w, _ = self.scene.hand_pose(measured)
 
     def _observe(self) -> tuple[Array, Array]:
