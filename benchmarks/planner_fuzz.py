@@ -133,7 +133,8 @@ def press_workspace(start_configuration: Array) -> Workspace:
         start=(-0.009, -0.1345, 0.270),
         base_position=(-0.4, 0.0, 0.0),
         hand_quaternion_wxyz=(0.0, 0.5**0.5, 0.5**0.5, 0.0),
-        max_lead=0.03,
+        free_lead=1.0,
+        held_lead=0.3,
         start_configuration=tuple(start_configuration.tolist()),
         gripper_opening=0.014,
     )

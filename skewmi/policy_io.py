@@ -97,6 +97,7 @@ class Workspace:
     hand_quaternion_wxyz: tuple[float, float, float, float]
     free_lead: float
     held_lead: float
+    stop_lead: float
     start_configuration: tuple[float, ...]
     """Joint angles, chain order 1,2,7,3,4,5,6, rad, that put the hand at `start`."""
     gripper_opening: float
@@ -313,6 +314,28 @@ def episode_success(layout: PolicyLayout, in_region: NDArray[np.bool_]) -> NDArr
     return success
 
 
+EXPLAINED_DELAY = 0.3
+"""Delay of an arm behind its command that is not taken for an obstacle, control steps."""
+
+
+def stalled(layout: PolicyLayout, error_w: Array, hand_travel_w: Array) -> Array:
+    """How far the hand is behind its command by more than a delay explains, in full actions.
+
+    A late arm is behind its command as well, but it moves.
+
+    Args:
+        layout: Gives the scale of actions.
+        error_w: Commanded less measured hand position, m. Shape (..., 3).
+        hand_travel_w: Motion of the measured hand in a control step, m. Shape (..., 3).
+
+    Returns:
+        Shape (...); negative where the hand follows.
+    """
+    scale = layout.action_scale[:3]
+    behind: Array = np.linalg.norm(error_w / scale, axis=-1)
+    return behind - EXPLAINED_DELAY * np.linalg.norm(hand_travel_w / scale, axis=-1)
+
+
 def integrate_command(
     layout: PolicyLayout,
     command_position_w: Array,
@@ -343,12 +366,9 @@ def integrate_command(
     scale = layout.action_scale[:3]
     error = (command_position_w - hand_position_w) / scale
     lead = error + np.clip(action[..., :3], -1.0, 1.0)
-    # A late arm is behind its command, too, but it moves: what 40 ms of delay explain is no
-    # obstacle's doing.
-    travel = np.linalg.norm(hand_travel_w / scale, axis=-1)
-    stall = np.linalg.norm(error, axis=-1) - 0.4 * travel
+    stall = stalled(layout, error * scale, hand_travel_w)
     free, held = workspace.free_lead, workspace.held_lead
-    share = np.clip((stall / held - 0.3) / 0.7, 0.0, 1.0)
+    share = np.clip((stall / held - 0.6) / 0.4, 0.0, 1.0)
     bound = (free + share * (held - free))[..., None]
     distance = np.linalg.norm(lead, axis=-1, keepdims=True)
     lead = lead * np.minimum(1.0, bound / np.maximum(distance, 1e-12)) * scale

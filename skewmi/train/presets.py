@@ -38,7 +38,11 @@ _PAPER_SAC = SacConfig(
 # The code stores each transition once as it was, 10 times with future goals and 4 times with
 # proposals.
 _PAPER_REPLAY = ReplayConfig(
-    capacity_steps=1_000_000, future_share=10 / 15, proposal_share=4 / 15, rewarded_share=0.0
+    capacity_steps=1_000_000,
+    future_share=10 / 15,
+    proposal_share=4 / 15,
+    rewarded_share=0.0,
+    rare_share=0.0,
 )
 _PAPER_SKEW = SkewConfig(
     intrinsic=0.005,
@@ -145,7 +149,7 @@ _PRESS_IMPROVED = TrainConfig(
     total_steps=2_000_000,
     sac=SacConfig(target_entropy=-1.5),
     # The fingers are not commanded: where contact bends them is not worth a goal.
-    skew=SkewConfig(field_weights=((_LID, 2.5), (_BUTTON, 2.5), ("gripper", 0.1))),
+    skew=SkewConfig(field_weights=((_LID, 2.5), (_BUTTON, 2.5), ("gripper", 0.1), ("hand_x", 0.3))),
     rollout=RolloutConfig(),
     measure=_PRESS_MEASURE,
 )

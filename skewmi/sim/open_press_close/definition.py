@@ -15,12 +15,13 @@ CONTROL_DT = 0.1
 """Time between two actions, s. The original takes 1 s; its arm is a hundred times lighter."""
 SUBSTEPS = 25
 """Physics steps per control step."""
+WATCH_SUBSTEPS = 5
+"""Physics steps between two looks at whether the hand follows its command: 20 ms, a cycle of the
+deployed planner."""
 EPISODE_STEPS = 200
 
-HAND_STEP = (0.0125, 0.0125, 0.010)
-"""Hand travel per control step along x, y, z at action 1.0, m: 125 mm/s, and 100 mm/s up and down
-(the published code moves 15, 15 and 10 mm an action). Measured: with 15 mm, a hand that meets
-something tilts by up to 2.7 degrees before the command stops."""
+HAND_STEP = (0.015, 0.015, 0.015)
+"""Hand travel per control step along x, y, z at action 1.0, m: 150 mm/s."""
 FINGER_STEP = 0.0025
 """Finger travel per control step at action 1.0, m: the gripper's 25 mm/s."""
 FINGER_MAX = yumi.GRIPPER.travel
@@ -30,7 +31,8 @@ GRIPPER_OPENING = 0.014
 the hook behind it."""
 
 FREE_LEAD = 1.0
-HELD_LEAD = 0.3
+HELD_LEAD = 0.2
+STOP_LEAD = 0.45
 """How far the command may run ahead of the measured hand, in full actions."""
 
 LID_SHUT = 0.035
@@ -61,6 +63,7 @@ def make_layout(*, gripper_action: bool = False, time_input: bool = False) -> Po
         hand_quaternion_wxyz=(qw, qx, qy, qz),
         free_lead=FREE_LEAD,
         held_lead=HELD_LEAD,
+        stop_lead=STOP_LEAD,
         start_configuration=yumi.PRESS_START_CONFIGURATION,
         gripper_opening=GRIPPER_OPENING,
     )

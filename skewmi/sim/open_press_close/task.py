@@ -20,6 +20,7 @@ from skewmi.policy_io import (
     assemble_observation,
     inside_region,
     integrate_command,
+    stalled,
 )
 from skewmi.robot_models import servo
 from skewmi.sim.checks import checked_action, checked_num_envs
@@ -117,6 +118,10 @@ class OpenPressCloseBatch:
         steps = definition.SUBSTEPS
         self._fraction = (np.arange(1, steps + 1) / steps)[:, None]
         self.servo_targets = np.empty((self.num_envs, steps, self.scene.model.nu))
+        # Without a twin the servos get what is commanded.
+        self._targets = self.servo_targets if self._twin is None else self.servo_targets.copy()
+        sensors = self.scene.model.nsensordata
+        self._part = {"sensordata": np.empty((self.num_envs, definition.WATCH_SUBSTEPS, sensors))}
         self._record = {
             "sensordata": np.empty((self.num_envs, steps, self.scene.model.nsensordata))
         }
@@ -164,9 +169,7 @@ class OpenPressCloseBatch:
             )
         values = checked_action(action, self.num_envs, self.layout.action_dim)
         self._move_command(values)
-        self.batch.rollout(
-            definition.SUBSTEPS, self.servo_targets, record=("sensordata",), out=self._record
-        )
+        self._roll_out()
         self._check_physics()
         self._step_index += 1
         self._read()
@@ -182,6 +185,7 @@ class OpenPressCloseBatch:
     def _move_command(self, action: Array) -> None:
         """Turn actions into the servos' targets at every substep."""
         q_before, opening_before = self._command_q, self._command_opening
+        self._line_begin = self._command_position_w, q_before
         self._command_position_w = integrate_command(
             self.layout,
             self._command_position_w,
@@ -198,10 +202,59 @@ class OpenPressCloseBatch:
         velocity = (self._command_q - q_before) / self.layout.control_dt
         first = self.scene.controls(q_before, opening_before, velocity)
         last = self.scene.controls(self._command_q, self._command_opening, velocity)
-        np.multiply((last - first)[:, None, :], self._fraction, out=self.servo_targets)
-        self.servo_targets += first[:, None, :]
+        np.multiply((last - first)[:, None, :], self._fraction, out=self._targets)
+        self._targets += first[:, None, :]
         if self._twin is not None:
-            self._twin.delay(self.servo_targets)
+            self._twin.begin_step()
+            self._twin.delay(self._targets, self.servo_targets)
+
+    def _roll_out(self) -> None:
+        """Step the physics; where the hand is held up, the command waits for it."""
+        period, steps = definition.WATCH_SUBSTEPS, definition.SUBSTEPS
+        hand_w = self._hand_position_w
+        moving = np.ones(self.num_envs, dtype=np.bool_)
+        for begin in range(0, steps, period):
+            if begin:
+                before_w, hand_w = hand_w, self.scene.hand_pose(self._qpos)[0]
+                moving = self._hold_stalled(moving, begin, hand_w, hand_w - before_w)
+            part = slice(begin, begin + period)
+            self.batch.rollout(
+                period, self.servo_targets[:, part], record=("sensordata",), out=self._part
+            )
+            self._record["sensordata"][:, part] = self._part["sensordata"]
+
+    def _hold_stalled(
+        self, moving: NDArray[np.bool_], substep: int, hand_w: Array, moved_w: Array
+    ) -> NDArray[np.bool_]:
+        """End the step's command where it is for hands that do not follow it.
+
+        Args:
+            moving: Whose command has not been ended before. Shape (n,).
+            substep: How many substeps of the step are done.
+            hand_w: Hand now, world, m. Shape (n, 3).
+            moved_w: Since the last look. Shape (n, 3).
+
+        Returns:
+            Whose command still moves. Shape (n,).
+        """
+        done = substep / definition.SUBSTEPS
+        begin_w, begin_q = self._line_begin
+        now_w = begin_w + done * (self._command_position_w - begin_w)
+        rate = definition.SUBSTEPS / definition.WATCH_SUBSTEPS
+        stall = stalled(self.layout, now_w - hand_w, moved_w * rate)
+        held = np.flatnonzero(moving & (stall > self._workspace.stop_lead))
+        if held.size == 0:
+            return moving
+        q = begin_q[held] + done * (self._command_q[held] - begin_q[held])
+        self._command_position_w = self._command_position_w.copy()
+        self._command_position_w[held], self._command_q[held] = now_w[held], q
+        arm = np.ix_(held, np.arange(substep, definition.SUBSTEPS), self.scene.arm_ctrl)
+        self._targets[arm] = q[:, None, :]
+        if self._twin is not None:
+            self._twin.delay(self._targets, self.servo_targets)
+        moving = moving.copy()
+        moving[held] = False
+        return moving
 
     def _check_physics(self) -> None:
         if not self.batch.warning.any():

@@ -1,0 +1,77 @@
+"""Whether the hand follows its command while a policy acts, and where it is about to be."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skewmi.deploy.daemon.observer import ArmState, Observer
+from skewmi.deploy.daemon.stream import ChunkStream
+from skewmi.policy_io import Array, PolicyLayout, stalled
+
+FOLLOWING, NOT_FOLLOWING = 0.005, 0.010
+"""Distances of measured from commanded hand up to which, and from which on, the arm counts as
+following and as held up, m; linear between."""
+
+
+class HandFollower:
+    """Compares measured with commanded hand, control step by step and cycle by cycle.
+
+    Args:
+        layout: Of the policy; must have a workspace.
+        observer: Gives hand positions of joint angles.
+        stream: Knows what was commanded for a time not long ago.
+        state: Newest arm state; the arm rests.
+    """
+
+    def __init__(
+        self, layout: PolicyLayout, observer: Observer, stream: ChunkStream, state: ArmState
+    ) -> None:
+        assert layout.workspace is not None
+        self._layout, self._stop_lead = layout, layout.workspace.stop_lead
+        self._observer, self._stream = observer, stream
+        self._of_step = self._of_cycle = observer.hand_position(state)
+        self._stamp_ns = state.stamp_ns
+
+    def commanded(self, state: ArmState) -> Array:
+        """Where the hand was commanded to be when `state` was measured, world, m. Shape (3,)."""
+        return self._observer.hand_of(self._stream.commanded(state.stamp_ns))
+
+    def travel_of_step(self, state: ArmState) -> Array:
+        """Motion of the hand since the last call, world, m. Shape (3,)."""
+        hand = self._observer.hand_position(state)
+        travel, self._of_step = hand - self._of_step, hand
+        return travel
+
+    def ahead(self, state: ArmState, command_w: Array) -> Array:
+        """Where the measured hand will be once it has made the motion that is under way.
+
+        `integrate_command` bounds how far the command runs ahead of the hand. In training the
+        hand is measured when the command is given; here about 0.1 s of commanded motion (the
+        stream's lead, the planner's shaping) is still to come when the policy acts, and would
+        count as lead.
+        So that motion is added, as long as the arm follows. An arm that is held up does not
+        follow: then the bound is on command against measured hand, as it should be.
+
+        Args:
+            state: Newest arm state.
+            command_w: Present end of the commanded motion, world, m. Shape (3,).
+
+        Returns:
+            World, m. Shape (3,).
+        """
+        hand, commanded = self._observer.hand_position(state), self.commanded(state)
+        deviation = float(np.linalg.norm(hand - commanded))
+        trust = (NOT_FOLLOWING - deviation) / (NOT_FOLLOWING - FOLLOWING)
+        ahead: Array = hand + min(max(trust, 0.0), 1.0) * (command_w - commanded)
+        return ahead
+
+    def stalled(self, state: ArmState) -> bool:
+        """Whether the hand is held up; see `policy_io.stalled`. Call it with every new state."""
+        hand = self._observer.hand_position(state)
+        elapsed_s = (state.stamp_ns - self._stamp_ns) / 1e9
+        if elapsed_s <= 0.0:
+            return False
+        travel = (hand - self._of_cycle) * (self._layout.control_dt / elapsed_s)
+        self._of_cycle, self._stamp_ns = hand, state.stamp_ns
+        error = self.commanded(state) - hand
+        return bool(stalled(self._layout, error, travel) > self._stop_lead)
