@@ -25,7 +25,6 @@ from skewmi.policy_io import (
     episode_success,
     first_success_step,
     inside_region,
-    integrate_command,
     require_same_layout,
 )
 
@@ -37,6 +36,7 @@ WORKSPACE = Workspace(
     hand_quaternion_wxyz=(0.0, math.sqrt(0.5), math.sqrt(0.5), 0.0),
     free_lead=1.5,
     held_lead=0.4,
+    stop_lead=0.45,
     start_configuration=(1.0, -2.0, -1.1, 0.1 + 0.2, 1e-17, 2.0 / 3.0, 5e-324),
     gripper_opening=0.014,
 )
@@ -80,7 +80,7 @@ def workspaces(draw: st.DrawFn) -> Workspace:
         return tuple(draw(st.lists(finite, min_size=n, max_size=n)))
 
     return Workspace(
-        *(numbers(3) for _ in range(4)), numbers(4), *numbers(2), numbers(7), draw(finite)
+        *(numbers(3) for _ in range(4)), numbers(4), *numbers(3), numbers(7), draw(finite)
     )
 
 
@@ -290,105 +290,6 @@ def test_no_region_means_outside_and_nan_is_outside(states: Array) -> None:
     assert not inside_region(nowhere, states).any()
     states[:, 1] = np.nan
     assert not inside_region(LAYOUT, states).any()
-
-
-positions = hnp.arrays(np.float64, (5, 3), elements=st.floats(-0.5, 0.5))
-actions = hnp.arrays(np.float64, (5, 4), elements=st.floats(-3.0, 3.0))
-inside_box = st.tuples(
-    *(st.floats(low, high) for low, high in zip(WORKSPACE.low, WORKSPACE.high, strict=True))
-).map(np.array)
-
-
-@given(positions, actions, positions, positions)
-def test_command_stays_in_the_box(command: Array, action: Array, hand: Array, moved: Array) -> None:
-    target = integrate_command(LAYOUT, command, action, hand, moved)
-    assert (target >= WORKSPACE.low).all()
-    assert (target <= WORKSPACE.high).all()
-
-
-def in_actions(distance: Array) -> Array:
-    """Length of distances in full actions. Shape (..., 3) -> (...)."""
-    length: Array = np.linalg.norm(distance / LAYOUT.action_scale[:3], axis=-1)
-    return length
-
-
-@given(positions, actions, inside_box, positions)
-def test_command_leads_the_hand_by_no_more_than_allowed(
-    command: Array, action: Array, hand: Array, moved: Array
-) -> None:
-    """From inside the box, clipping to it only shortens the lead: a box is convex."""
-    lead = integrate_command(LAYOUT, command, action, hand, moved) - hand
-    assert (in_actions(lead) <= WORKSPACE.free_lead + 1e-9).all()
-
-
-@given(positions, actions, inside_box)
-def test_command_leads_a_hand_that_is_held_up_by_less(
-    command: Array, action: Array, hand: Array
-) -> None:
-    lead = integrate_command(LAYOUT, command, action, hand, np.zeros(3)) - hand
-    held = in_actions(command - hand) >= WORKSPACE.held_lead
-    assert (in_actions(lead)[held] <= WORKSPACE.held_lead + 1e-9).all()
-
-
-@given(inside_box, actions)
-def test_command_against_an_obstacle_settles_at_the_smaller_lead(
-    hand: Array, action: Array
-) -> None:
-    """However the policy pushes, the force is bounded after two steps, and stays so."""
-    command = hand
-    for step, push in enumerate(np.concatenate([action, action])):
-        command = integrate_command(LAYOUT, command, push, hand, np.zeros(3))
-        if step > 0 and in_actions(before - hand) >= WORKSPACE.held_lead:
-            assert in_actions(command - hand) <= WORKSPACE.held_lead + 1e-9
-        before = command
-
-
-@given(inside_box, actions, st.floats(0.0, 0.4))
-def test_a_late_arm_is_not_taken_for_one_that_is_held_up(
-    hand: Array, action: Array, steps_late: float
-) -> None:
-    """Of an arm that moves, less than half a step late, the command may lead all it may."""
-    moved = np.clip(action[0, :3], -1.0, 1.0) * LAYOUT.action_scale[:3]
-    command = hand + steps_late * moved
-    target = integrate_command(LAYOUT, command, action, hand, moved)
-    lead = command + np.clip(action[:, :3], -1.0, 1.0) * LAYOUT.action_scale[:3] - hand
-    shorter = np.minimum(1.0, WORKSPACE.free_lead / np.maximum(in_actions(lead), 1e-12))
-    expected = np.clip(hand + lead * shorter[:, None], WORKSPACE.low, WORKSPACE.high)
-    np.testing.assert_allclose(target, expected, atol=1e-12)
-
-
-@given(inside_box, st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=4))
-def test_small_step_from_the_hand_is_the_scaled_action(hand: Array, action: list[float]) -> None:
-    small = 0.02 * np.array(action)
-    target = integrate_command(LAYOUT, hand, small, hand, np.zeros(3))
-    free = hand + small[:3] * LAYOUT.action_scale[:3]
-    np.testing.assert_allclose(target, np.clip(free, WORKSPACE.low, WORKSPACE.high), atol=1e-15)
-
-
-@given(positions, actions, positions, positions)
-def test_command_clips_the_action_and_ignores_the_gripper(
-    command: Array, action: Array, hand: Array, moved: Array
-) -> None:
-    target = integrate_command(LAYOUT, command, action, hand, moved)
-    for same in (np.clip(action, -1.0, 1.0), action[:, :3]):
-        again = integrate_command(LAYOUT, command, same, hand, moved)
-        np.testing.assert_array_equal(again, target)
-
-
-@given(positions, actions, positions, positions)
-def test_command_of_a_batch_is_that_of_its_rows(
-    command: Array, action: Array, hand: Array, moved: Array
-) -> None:
-    batch = integrate_command(LAYOUT, command, action, hand, moved)
-    for i in range(len(batch)):
-        row = integrate_command(LAYOUT, command[i], action[i], hand[i], moved[i])
-        np.testing.assert_allclose(row, batch[i], rtol=0.0, atol=1e-15)
-
-
-def test_command_needs_a_workspace() -> None:
-    layout = dataclasses.replace(LAYOUT, workspace=None)
-    with pytest.raises(ConfigurationError, match="workspace"):
-        integrate_command(layout, np.zeros(3), np.zeros(4), np.zeros(3), np.zeros(3))
 
 
 steps_inside = hnp.arrays(np.bool_, st.tuples(st.integers(0, 30), st.integers(1, 4)))

@@ -28,6 +28,7 @@ WORKSPACE = Workspace(
     hand_quaternion_wxyz=(0.0, 0.5**0.5, 0.5**0.5, 0.0),
     free_lead=1.0,
     held_lead=0.3,
+    stop_lead=0.45,
     start_configuration=tuple(START.tolist()),
     gripper_opening=0.014,
 )
@@ -179,6 +180,7 @@ def test_singular_posture(guard: Guard) -> None:
         hand_quaternion_wxyz=tuple(quaternion_from_rotation(rotation).tolist()),
         free_lead=1.0,
         held_lead=0.3,
+        stop_lead=0.45,
         start_configuration=tuple(worst.tolist()),
         gripper_opening=0.014,
     )

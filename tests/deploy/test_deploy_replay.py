@@ -53,6 +53,7 @@ LAYOUT = PolicyLayout(
         hand_quaternion_wxyz=(0.0, 1.0, 0.0, 0.0),
         free_lead=1.0,
         held_lead=0.3,
+        stop_lead=0.45,
         start_configuration=tuple(Q_MIDDLE),
         gripper_opening=0.01,
     ),

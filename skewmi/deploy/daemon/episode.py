@@ -17,7 +17,8 @@ from skewmi.deploy.motion.planner import Planner
 from skewmi.deploy.motion.start_motion import StartMotion
 from skewmi.deploy.wire.messages import JointStates, encode_joint_states
 from skewmi.errors import CommandRefusedError
-from skewmi.policy_io import Array, Policy, inside_region, integrate_command
+from skewmi.hand_command import integrate_command
+from skewmi.policy_io import Array, Policy, inside_region
 from skewmi.robot_models.limits import JointLimits
 
 START_ATTEMPTS = 3

@@ -6,7 +6,8 @@ import numpy as np
 
 from skewmi.deploy.daemon.observer import ArmState, Observer
 from skewmi.deploy.daemon.stream import ChunkStream
-from skewmi.policy_io import Array, PolicyLayout, stalled
+from skewmi.hand_command import stalled
+from skewmi.policy_io import Array, PolicyLayout
 
 FOLLOWING, NOT_FOLLOWING = 0.005, 0.010
 """Distances of measured from commanded hand up to which, and from which on, the arm counts as
@@ -66,7 +67,7 @@ class HandFollower:
         return ahead
 
     def stalled(self, state: ArmState) -> bool:
-        """Whether the hand is held up; see `policy_io.stalled`. Call it with every new state."""
+        """Whether the hand is held up; see `hand_command.stalled`. Call it with every new state."""
         hand = self._observer.hand_position(state)
         elapsed_s = (state.stamp_ns - self._stamp_ns) / 1e9
         if elapsed_s <= 0.0:

@@ -193,7 +193,7 @@ class Planner:
         """Command the hand to a position, to be reached at constant velocity.
 
         Call it once per policy step with the policy's next commanded position
-        (`policy_io.integrate_command`) and the step's duration. The executed path follows this
+        (`hand_command.integrate_command`) and the step's duration. The executed path follows this
         command with about 70 ms of lag and settles on its last position when no more come.
 
         Args:

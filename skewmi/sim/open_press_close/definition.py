@@ -20,8 +20,9 @@ WATCH_SUBSTEPS = 5
 deployed planner."""
 EPISODE_STEPS = 200
 
-HAND_STEP = (0.015, 0.015, 0.015)
-"""Hand travel per control step along x, y, z at action 1.0, m: 150 mm/s."""
+HAND_STEP = 0.015
+"""Hand travel per control step and axis at action 1.0, m: 150 mm/s. (The published code moves
+10 mm per action along z; with that the button was found a good deal later.)"""
 FINGER_STEP = 0.0025
 """Finger travel per control step at action 1.0, m: the gripper's 25 mm/s."""
 FINGER_MAX = yumi.GRIPPER.travel
@@ -31,9 +32,13 @@ GRIPPER_OPENING = 0.014
 the hook behind it."""
 
 FREE_LEAD = 1.0
+"""How far the command may run ahead of a hand that follows it, in full actions."""
 HELD_LEAD = 0.2
+"""The same where something holds the hand up: 3 mm, which the scene's servos turn into 40 N at
+most (in the stiffest direction; some 7 N sideways)."""
 STOP_LEAD = 0.45
-"""How far the command may run ahead of the measured hand, in full actions."""
+"""Stall at which a command stops before its step is over: 7 mm. A late arm (40 ms) that starts to
+move is 0.4 behind."""
 
 LID_SHUT = 0.035
 """Largest lid angle that counts as shut, rad: the lid's edge is then 5 mm above its rest."""
@@ -78,10 +83,7 @@ def make_layout(*, gripper_action: bool = False, time_input: bool = False) -> Po
     ]
     if time_input:
         observation.append(Field(TIME_FIELD, "1", "episode", 0.0, 1.0))
-    action = [
-        ActionField(f"hand_{axis}", "m/step", "world", step)
-        for axis, step in zip("xyz", HAND_STEP, strict=True)
-    ]
+    action = [ActionField(f"hand_{axis}", "m/step", "world", HAND_STEP) for axis in "xyz"]
     if gripper_action:
         action.append(ActionField("gripper", "m/step", "finger", FINGER_STEP))
     return PolicyLayout(
