@@ -196,13 +196,13 @@ class EpisodeRunner:
                     times.lap("policy")
                     command = planner.command_position
                     ahead = follower.ahead(state, command)
-                    travel = follower.travel_of_step(state)
-                    target = integrate_command(layout, command, action, ahead, travel)
+                    stall = follower.stall_of_step(state, ahead, command)
+                    target = integrate_command(layout, command, action, ahead, stall)
                     planner.set_target(target, control_s)
                     waiting = False
                     step += 1
                     self.steps = step
-                elif not waiting and follower.stalled(state):
+                elif not waiting and follower.must_wait(state, target):
                     # As in training, the command ends where the hand no longer follows it.
                     planner.set_target(follower.commanded(state), CYCLE_NS / 1e9)
                     waiting = True

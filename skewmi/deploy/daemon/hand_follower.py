@@ -6,7 +6,7 @@ import numpy as np
 
 from skewmi.deploy.daemon.observer import ArmState, Observer
 from skewmi.deploy.daemon.stream import ChunkStream
-from skewmi.hand_command import stalled
+from skewmi.hand_command import remembered_stall, stalled
 from skewmi.policy_io import Array, PolicyLayout
 
 FOLLOWING, NOT_FOLLOWING = 0.005, 0.010
@@ -32,16 +32,29 @@ class HandFollower:
         self._observer, self._stream = observer, stream
         self._of_step = self._of_cycle = observer.hand_position(state)
         self._stamp_ns = state.stamp_ns
+        self._stall = 0.0
 
     def commanded(self, state: ArmState) -> Array:
         """Where the hand was commanded to be when `state` was measured, world, m. Shape (3,)."""
         return self._observer.hand_of(self._stream.commanded(state.stamp_ns))
 
-    def travel_of_step(self, state: ArmState) -> Array:
-        """Motion of the hand since the last call, world, m. Shape (3,)."""
+    def stall_of_step(self, state: ArmState, ahead_w: Array, command_w: Array) -> float:
+        """See `hand_command.remembered_stall`; call it once per control step.
+
+        Args:
+            state: Newest arm state.
+            ahead_w: From `ahead`, world, m. Shape (3,).
+            command_w: Present end of the commanded motion, world, m. Shape (3,).
+
+        Returns:
+            Full actions.
+        """
         hand = self._observer.hand_position(state)
         travel, self._of_step = hand - self._of_step, hand
-        return travel
+        self._stall = float(
+            remembered_stall(self._layout, np.array(self._stall), command_w - ahead_w, travel)
+        )
+        return self._stall
 
     def ahead(self, state: ArmState, command_w: Array) -> Array:
         """Where the measured hand will be once it has made the motion that is under way.
@@ -66,8 +79,13 @@ class HandFollower:
         ahead: Array = hand + min(max(trust, 0.0), 1.0) * (command_w - commanded)
         return ahead
 
-    def stalled(self, state: ArmState) -> bool:
-        """Whether the hand is held up; see `hand_command.stalled`. Call it with every new state."""
+    def must_wait(self, state: ArmState, target_w: Array) -> bool:
+        """Whether the command must end here: the hand is held up, and it would go further away.
+
+        Args:
+            state: Newest arm state; call it with every new one.
+            target_w: Where the command goes, world, m. Shape (3,).
+        """
         hand = self._observer.hand_position(state)
         elapsed_s = (state.stamp_ns - self._stamp_ns) / 1e9
         if elapsed_s <= 0.0:
@@ -75,4 +93,9 @@ class HandFollower:
         travel = (hand - self._of_cycle) * (self._layout.control_dt / elapsed_s)
         self._of_cycle, self._stamp_ns = hand, state.stamp_ns
         error = self.commanded(state) - hand
-        return bool(stalled(self._layout, error, travel) > self._stop_lead)
+        further = float(np.linalg.norm(target_w - hand)) > float(np.linalg.norm(error))
+        stall = float(stalled(self._layout, error, travel))
+        if stall <= self._stop_lead:
+            return False
+        self._stall = max(self._stall, stall)
+        return further

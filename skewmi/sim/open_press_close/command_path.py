@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from skewmi.hand_command import integrate_command, stalled
+from skewmi.hand_command import integrate_command, remembered_stall, stalled
 from skewmi.policy_io import Array, PolicyLayout
 from skewmi.sim.open_press_close import definition
 from skewmi.sim.open_press_close.scene import OpenPressCloseScene, workspace_of
@@ -52,6 +52,7 @@ class CommandPath:
             Controls that hold them there. Shape (n, nu).
         """
         self.position_w, self.q = position_w, q
+        self._stall = np.zeros(len(q))
         self.opening = np.full(len(q), self._workspace.gripper_opening)
         return self._scene.controls(q, self.opening)
 
@@ -66,8 +67,11 @@ class CommandPath:
         self._begin_w, self._begin_q = self.position_w, self.q
         opening_before = self.opening
         self._moving = np.ones(len(action), dtype=np.bool_)
+        self._stall = remembered_stall(
+            self._layout, self._stall, self.position_w - hand_w, hand_travel_w
+        )
         self.position_w = integrate_command(
-            self._layout, self.position_w, action, hand_w, hand_travel_w
+            self._layout, self.position_w, action, hand_w, self._stall
         )
         self.q = self._scene.arm_positions(self._workspace, self.position_w, self.q)
         if self._layout.action_dim == 4:
@@ -94,9 +98,14 @@ class CommandPath:
         now_w = self._begin_w + done * (self.position_w - self._begin_w)
         rate = definition.SUBSTEPS / definition.WATCH_SUBSTEPS
         stall = stalled(self._layout, now_w - hand_w, moved_w * rate)
-        held = np.flatnonzero(self._moving & (stall > self._workspace.stop_lead))
+        # A command that comes back to the hand shall do so.
+        away = np.linalg.norm(self.position_w - hand_w, axis=1)
+        away -= np.linalg.norm(now_w - hand_w, axis=1)
+        stops = self._moving & (away > 0.0) & (stall > self._workspace.stop_lead)
+        held = np.flatnonzero(stops)
         if held.size:
             self._moving[held] = False
+            self._stall[held] = np.maximum(self._stall[held], stall[held])
             self.position_w, self.q = self.position_w.copy(), self.q.copy()
             self.position_w[held] = now_w[held]
             self.q[held] = self._begin_q[held] + done * (self.q[held] - self._begin_q[held])
