@@ -69,11 +69,12 @@ def test_a_deployed_hand_on_the_lid_is_led_by_no_more_than_a_held_one_may_be(
     assert report.episodes[0].outcome == "time over", report.as_dict()
     measured, commanded = hands(path)
     lead = np.linalg.norm(commanded - measured, axis=1)
-    on_the_lid = measured[:, 2] < 0.2135
-    assert on_the_lid[-500:].all(), "the hand never came to stand on the lid"
-    # It comes at 150 mm/s and brakes as its limits let it, then the command comes back.
-    assert lead.max() < 0.9 * definition.HAND_STEP
-    # Standing there, by the lead of a held hand, less what friction in the joints takes.
+    # At 150 mm/s, 24 ms of chunks under way and the limits on braking: at most this, once.
+    contact = int(np.argmax(lead > 5e-3))
+    assert lead.max() < 0.020
+    # A second later the command has come back to what a held hand may be led by; the planner's
+    # delay lets it swing around that.
+    standing = lead[contact + 50 : contact + 150]
     held = layout.workspace.held_lead * definition.HAND_STEP
-    assert lead[-500:].max() < held + 1.5e-3
-    assert np.median(lead[-500:]) > 0.5 * held, "it does not push at all"
+    assert standing.max() < 3.0 * held
+    assert 0.5 * held < standing.mean() < 2.0 * held
