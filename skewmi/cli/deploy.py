@@ -2,8 +2,8 @@
 
 Without `--connect` a simulated robot is started in a process of its own and ended afterwards.
 Ctrl-C brakes the arm smoothly; so does killing this process, because whatever the endpoint has
-accepted ends at rest. Exit code 0 if all episodes ran (however many succeeded), 1 if something
-faulted, 2 for bad input, 130 after Ctrl-C.
+accepted ends at rest. Exit code 0 if all episodes ran to their end (however many succeeded), 1 if
+one was stopped or faulted, 2 for bad input, 130 after Ctrl-C or SIGTERM.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from rich.table import Table
 
 from skewmi.cli.policies import twin_option
 from skewmi.deploy import run as deploy_run
-from skewmi.deploy.options import DeployOptions
+from skewmi.deploy.options import DeployOptions, LiveOptions
 from skewmi.deploy.policy import OnnxPolicy
 from skewmi.deploy.report import DeployReport
 from skewmi.errors import ConfigurationError
@@ -58,8 +58,14 @@ class DeployCommand:
     cycles are missed on a busy computer, at the price of slower reactions."""
     record: Path | None = None
     """MCAP file to record everything to."""
+    live: bool = False
+    """Open a Rerun viewer that shows the run while it happens: what `skewmi replay` shows."""
+    live_connect: str | None = None
+    """The same in a Rerun viewer that runs somewhere, such as rerun+http://10.0.0.5:9876/proxy."""
+    live_out: Path | None = None
+    """The same into a Rerun file (.rrd), alone or besides; needs no screen."""
     overwrite: bool = False
-    """Replace an existing recording."""
+    """Replace existing files of --record and --live-out."""
     dry_run: bool = False
     """Do everything but send: the arm does not move."""
     zenoh_config: Path | None = None
@@ -72,8 +78,10 @@ class DeployCommand:
 def deploy_policy(options: DeployCommand) -> DeployReport:
     """Load the policy and run it; progress on standard error."""
     policy = OnnxPolicy.load(options.policy)
-    if options.record is not None and options.record.exists() and not options.overwrite:
-        raise ConfigurationError(f"{options.record} exists; give another file or --overwrite")
+    for file in (options.record, options.live_out):
+        if file is not None and file.exists() and not options.overwrite:
+            raise ConfigurationError(f"{file} exists; give another file or --overwrite")
+    live = LiveOptions(options.live, options.live_connect, options.live_out)
     console = Console(stderr=True)
     with _stop_on_interrupt() as stop:
         return deploy_run.run_deploy(
@@ -90,6 +98,7 @@ def deploy_policy(options: DeployCommand) -> DeployReport:
                 dry_run=options.dry_run,
                 record=options.record,
                 overwrite=options.overwrite,
+                live=live if live != LiveOptions() else None,
                 policy_name=str(options.policy),
                 robot_model_hash=policy.metadata["robot_model_hash"],
                 zenoh_config=options.zenoh_config,
@@ -108,7 +117,7 @@ def run_deploy(options: DeployCommand) -> int:
         print_report(report, Console())
     if report.interrupted:
         return 130
-    return 1 if report.faulted else 0
+    return 1 if report.stops else 0
 
 
 def print_report(report: DeployReport, console: Console) -> None:
@@ -139,22 +148,27 @@ def print_report(report: DeployReport, console: Console) -> None:
     for note in report.notes:
         console.print(note, markup=False)
     for file in report.files:
-        console.print(f"recording: {file}", markup=False)
+        console.print(f"wrote {file}", markup=False)
 
 
 @contextmanager
 def _stop_on_interrupt() -> Iterator[threading.Event]:
-    """An event that the first Ctrl-C sets; a second one interrupts at once."""
+    """An event that the first Ctrl-C or SIGTERM sets; a second one ends the process at once."""
     stop = threading.Event()
-    before = signal.getsignal(signal.SIGINT)
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def restore() -> None:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
     def handle(number: int, frame: object) -> None:
         del number, frame
-        signal.signal(signal.SIGINT, before)
+        restore()
         stop.set()
 
-    signal.signal(signal.SIGINT, handle)
+    for number in before:
+        signal.signal(number, handle)
     try:
         yield stop
     finally:
-        signal.signal(signal.SIGINT, before)
+        restore()

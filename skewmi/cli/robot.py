@@ -1,17 +1,23 @@
 """Start a robot endpoint: it publishes joint and scene states and follows checked commands.
 
 `--backend sim` is the simulated YuMi in the task's scene, in a process of its own. It listens on
-this machine only unless told otherwise. Ctrl-C brakes the arm and ends.
+this machine only unless told otherwise. Each change of its state is told on standard error, with
+its reason. Ctrl-C brakes the arm and ends.
 """
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import sys
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from logging.handlers import QueueHandler, QueueListener
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Literal
 
 from rich.console import Console
@@ -75,14 +81,41 @@ def run_robot(options: RobotCommand) -> int:
                 highlight=False,
             )
 
-    run_sim_endpoint(
-        config,
-        SimEndpointOptions(profile, options.task, options.lock_step, options.twin),
-        stop,
-        on_ready=ready,
-    )
+    with _log_told(console):
+        run_sim_endpoint(
+            config,
+            SimEndpointOptions(profile, options.task, options.lock_step, options.twin),
+            stop,
+            on_ready=ready,
+        )
     console.print("arm at rest, endpoint ended", highlight=False)
     return 0
+
+
+@contextmanager
+def _log_told(console: Console) -> Iterator[None]:
+    """Tell what the endpoint logs, each transition above all, while the block runs.
+
+    From a thread of its own: the endpoint's loop must not wait for a terminal or a pipe.
+    """
+
+    class Teller(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            console.print(self.format(record), highlight=False, markup=False)
+
+    records: SimpleQueue[logging.LogRecord] = SimpleQueue()
+    logger, handler = logging.getLogger("skewmi"), QueueHandler(records)
+    listener = QueueListener(records, Teller())
+    before = logger.level
+    logger.setLevel(logging.INFO)
+    logger.addHandler(handler)
+    listener.start()
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(before)
+        listener.stop()
 
 
 def _wait_for_end_of_input(stop: threading.Event) -> None:

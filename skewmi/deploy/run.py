@@ -15,6 +15,7 @@ from skewmi.deploy.description import SCENE_REQUEST, EndpointDescription, limit_
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.recording.reader import run_metadata
 from skewmi.deploy.recording.recorder import Recorder
+from skewmi.deploy.replay.live import LiveView
 from skewmi.deploy.report import DeployReport
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.transport import Link, TransportConfig
@@ -81,28 +82,42 @@ def run_deploy(
         with Link.open(config, NODE_NAME) as link:
             link.wait_for_endpoint(5.0)
             daemon = Daemon(policy, options, link, report, stop, tell)
-            with _recording(options, policy, link, config, report):
+            with _beside(options, policy, link, config, report):
                 daemon.run()
     report.interrupted = stop.is_set()
     return report
 
 
 @contextmanager
-def _recording(
+def _beside(
     options: DeployOptions,
     policy: Policy,
     link: Link,
     config: TransportConfig,
     report: DeployReport,
 ) -> Iterator[None]:
-    """Record the run if asked to; what it was about first, how it went at the end."""
-    if options.record is None:
+    """Record and show the run, if asked to, from processes of their own."""
+    if options.record is None and options.live is None:
         yield
         return
+    metadata = _metadata(options, policy, link)
+    client = replace(config, lock_step=False)
+    with (
+        _live_view(options, metadata, client, report),
+        _recording(options, metadata, client, report),
+    ):
+        # They have subscribed at the endpoint. Once it answers, our publishers know, too, and
+        # the first messages are not lost.
+        link.call(topics.YUMI_DESCRIBE, 5.0)
+        yield
+
+
+def _metadata(options: DeployOptions, policy: Policy, link: Link) -> dict[str, str]:
+    """What the run is about."""
     limits = planning_limits(options.limits, options.speed)
     reply = link.call(topics.YUMI_DESCRIBE, 5.0, SCENE_REQUEST)
     description = EndpointDescription.from_json(reply.message)
-    metadata = run_metadata(
+    return run_metadata(
         layout_json=policy.layout.to_json(),
         limits=limit_values(limits),
         scene=description.scene or None,
@@ -113,7 +128,16 @@ def _recording(
         robot_model_hash=yumi.MODEL_HASH,
         **({} if options.twin is None else {"twin": options.twin}),
     )
-    client = replace(config, lock_step=False)
+
+
+@contextmanager
+def _recording(
+    options: DeployOptions, metadata: dict[str, str], client: TransportConfig, report: DeployReport
+) -> Iterator[None]:
+    """What the run is about first, how it went at the end."""
+    if options.record is None:
+        yield
+        return
     with Recorder(options.record, client, metadata, overwrite=options.overwrite) as recorder:
         yield
         recorder.add_metadata({"report": json.dumps(report.as_dict())})
@@ -121,3 +145,18 @@ def _recording(
     report.files.append(str(summary.path))
     if summary.missed:
         report.notes.append(f"the recording lacks {summary.missed} messages")
+
+
+@contextmanager
+def _live_view(
+    options: DeployOptions, metadata: dict[str, str], client: TransportConfig, report: DeployReport
+) -> Iterator[None]:
+    if options.live is None:
+        yield
+        return
+    title = options.policy_name or report.task
+    with LiveView(options.live, client, metadata, title) as view:
+        yield
+        report.notes += view.close()
+    if options.live.out is not None:
+        report.files.append(str(options.live.out))

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import gc
 import json
+import os
+import signal
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,8 +20,11 @@ import pytest
 import torch
 
 from skewmi.cli.main import main
+from skewmi.deploy.daemon.checks import ChunkChecks
+from skewmi.deploy.daemon.endpoint_process import free_port, sim_endpoint_process
 from skewmi.deploy.daemon.preflight import (
     check_agreement,
+    check_way,
     draw_start,
     followed_speed,
     planning_limits,
@@ -26,7 +33,10 @@ from skewmi.deploy.daemon.realtime import hot_loop
 from skewmi.deploy.daemon.stream import CYCLE_NS, GRID_NS, ChunkStream
 from skewmi.deploy.daemon.timing import CycleTimes, percentiles_ms
 from skewmi.deploy.description import EndpointDescription, limit_values
+from skewmi.deploy.guard import Guard
 from skewmi.deploy.options import DeployOptions
+from skewmi.deploy.wire import topics
+from skewmi.deploy.wire.transport import Link, TransportConfig
 from skewmi.errors import (
     ConfigurationError,
     LayoutMismatchError,
@@ -103,6 +113,8 @@ def test_deploy_runs_a_policy_file_and_prints_one_json_document(
     assert episode["steps"] == 200
     assert report["cycles"] >= 1000
     assert set(report["cycle_ms"]) >= {"p50", "p99", "p99.9"}
+    assert report["missed_cycles"] == 0
+    assert report["stops"] == []
     for name in ("position", "velocity", "acceleration", "jerk"):
         assert 0.0 < report["limit_fractions"][name] <= 1.0 + 1e-6
     assert report["files"] == [str(recording)]
@@ -165,11 +177,49 @@ def test_bad_flags_are_one_line(
     one_line(capsys, ["deploy", str(tiny), *flags])
 
 
-def test_interrupted_command_exits_130(tiny: Path) -> None:
+def test_run_that_was_stopped_exits_1_and_tells_why(
+    tiny: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with sim_endpoint_process("open_press_close", "lab", lock_step=False) as locator:
+        stopper = threading.Timer(3.0, lambda: main(["stop", "--json", "--connect", locator]))
+        stopper.start()
+        arguments = ["deploy", str(tiny), "--connect", locator, "--episodes", "2", "--json"]
+        assert main(arguments) == 1
+        stopper.join()
+    stopped, report = sorted(map(json.loads, capsys.readouterr().out.splitlines()), key=len)
+    assert stopped["state"] == "disarmed"
+    assert report["episodes"] == 1
+    assert report["per_episode"][0]["outcome"] == "stopped"
+    assert report["stops"] == [report["per_episode"][0]["reason"]]
+    assert "skewmi stop" in report["stops"][0]
+
+
+def test_endpoint_tells_each_change_of_state_and_what_it_was_granted(tiny: Path) -> None:
+    locator = f"tcp/127.0.0.1:{free_port()}"
+    command = [sys.executable, "-m", "skewmi.cli.main", "robot", "--listen", locator, "--json"]
+    robot = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        assert robot.stdout is not None
+        assert json.loads(robot.stdout.readline())["state"] == "disarmed"
+        with Link.open(TransportConfig.for_client(locator), "test") as link:
+            link.wait_for_endpoint(5.0)
+            assert link.call(topics.YUMI_ARM, 5.0, bytes(32)).success
+            assert link.call(topics.YUMI_STOP, 5.0, b"the test").success
+    finally:
+        robot.send_signal(signal.SIGINT)
+        told = robot.communicate(timeout=20.0)[1]
+    assert robot.returncode == 0
+    assert "disarmed -> holding (arm: " in told
+    assert "holding -> disarmed (stop: stop asked for by the test" in told
+    assert "real-time loop: gc frozen" in told
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interrupted_command_exits_130(tiny: Path, number: signal.Signals) -> None:
     command = [sys.executable, "-m", "skewmi.cli.main", "deploy", str(tiny), "--json"]
     child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     time.sleep(6.0)
-    child.send_signal(2)
+    child.send_signal(number)
     out, err = child.communicate(timeout=20.0)
     assert child.returncode == 130, err
     assert "Traceback" not in err
@@ -266,6 +316,22 @@ def test_starts_lie_around_the_tasks_start(far: bool) -> None:
     assert np.ptp(starts, axis=0).min() > 1e-3
 
 
+def test_whole_way_to_the_start_is_checked_before_anything_moves() -> None:
+    workspace = make_layout().workspace
+    assert workspace is not None
+    checks = ChunkChecks(LAB, workspace)
+    q_goal = np.array(workspace.start_configuration)
+    check_way(q_goal + 0.02, q_goal, LAB, checks)
+    # Both ends are clear by more than is asked for; the way leads past the other arm.
+    guard = Guard(LAB, clearance=0.02)
+    checks = SimpleNamespace(stages=[("guard", lambda q, v, a, present: guard.check(q, v, a))])
+    ends = [-2.5, -1.4, -0.4, 1.2, 0.6, -0.5, -2.0], [1.3, -2.4, 1.5, -0.3, 4.3, -1.2, 2.7]
+    for end in map(np.array, ends):
+        guard.check(np.tile(end, (6, 1)), np.zeros((6, 7)), np.zeros((6, 7)))
+    with pytest.raises(LimitViolationError, match="clearance"):
+        check_way(*map(np.array, ends), LAB, checks)
+
+
 class Resting:
     """Seven resting joints, as samples."""
 
@@ -337,6 +403,39 @@ def test_hot_loop_leaves_collection_and_scheduling_as_they_were() -> None:
         assert granted == ["gc frozen"]
     assert gc.isenabled() == enabled
     assert gc.get_freeze_count() == 0
+
+
+HOT = """
+import gc, os, re, resource, sys
+from pathlib import Path
+from skewmi.deploy.daemon.realtime import hot_loop
+if sys.argv[1] == "refused":
+    resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
+    resource.setrlimit(resource.RLIMIT_MEMLOCK, (0, 0))
+    os.setgid(65534), os.setuid(65534)
+def state():
+    locked = int(re.search(r"VmLck:\\s+(\\d+)", Path("/proc/self/status").read_text())[1])
+    return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO, locked > 0
+before = state()
+with hot_loop(priority=True) as granted:
+    frozen = gc.get_freeze_count() > 0 and not gc.isenabled()
+    print(granted == ["gc frozen"] * frozen
+          + ["SCHED_FIFO"] * state()[0] + ["memory locked"] * state()[1], granted)
+print(before[0] == state()[0] == False, gc.isenabled(), gc.get_freeze_count() == 0)
+"""
+
+
+@pytest.mark.parametrize("permission", ["allowed", "refused"])
+def test_hot_loop_takes_what_it_is_permitted_and_tells_the_truth(permission: str) -> None:
+    if permission == "refused" and os.getuid() != 0:
+        pytest.skip("only root can give up the permission")
+    command = [sys.executable, "-c", HOT, permission]
+    result = subprocess.run(command, capture_output=True, text=True, check=True)
+    told, after = result.stdout.splitlines()
+    assert told.startswith("True")
+    assert after == "True True True"
+    if permission == "refused":
+        assert told == "True ['gc frozen']"
 
 
 def test_percentiles_are_those_of_numpy_in_milliseconds() -> None:

@@ -81,7 +81,7 @@ def test_recording_survives_the_kill_of_its_recorder(tmp_path, config):
     with Link.open(config, "endpoint") as link:
         recorder = Recorder(path, config, run_metadata(seed="3"))
         sent = publish_until_recorded(link, path, 20_000)
-        os.kill(recorder._process.pid, signal.SIGKILL)
+        os.kill(recorder._listener.process.pid, signal.SIGKILL)
         with pytest.raises(TransportError, match="stopped early"):
             recorder.close()
     recording = read_recording(path)

@@ -15,7 +15,8 @@ from skewmi.cli.replay import ReplayCommand, run_replay
 from skewmi.deploy.recording.reader import METADATA_NAME, read_recording, run_metadata
 from skewmi.deploy.recording.scene_geometry import SceneGeometry
 from skewmi.deploy.recording.writer import RecordingWriter
-from skewmi.deploy.replay.data import Motion, tracking_error, understand
+from skewmi.deploy.replay.assembler import understand
+from skewmi.deploy.replay.data import Motion, tracking_error
 from skewmi.deploy.replay.replay import write_replay
 from skewmi.deploy.wire import messages, topics
 from skewmi.deploy.wire.messages import JointStates, Status, TrajectoryChunk
@@ -299,14 +300,13 @@ def test_command_prints_one_json_document(recorded, tmp_path, capsys):
 
 def test_arm_moved_while_nothing_is_commanded_is_no_tracking_error(recorded: Path) -> None:
     run = understand(read_recording(recorded))
-    before = np.abs(tracking_error(run)[1]).max()
+    before = np.abs(run.error.values).max()
     motion, measured = run.commanded, run.measured
     kept = (motion.time_s < 0.8) | (motion.time_s > 1.2)
     parts = (getattr(motion, name)[kept] for name in ("time_s", "q", "v", "a", "jerk"))
     idle = (measured.time_s > 0.81) & (measured.time_s < 1.19)
     moved = measured.q + np.where(idle, 0.5, 0.0)[:, None]
-    changed = replace(run, commanded=Motion(*parts), measured=replace(measured, q=moved))
-    times, error = tracking_error(changed)
-    assert not ((times > 0.81) & (times < 1.19)).any()
-    assert len(times) > len(measured.time_s) / 2
-    assert np.abs(error).max() <= before + 1e-12
+    error = tracking_error(Motion(*parts), replace(measured, q=moved))
+    assert not ((error.time_s > 0.81) & (error.time_s < 1.19)).any()
+    assert len(error.time_s) > len(measured.time_s) / 2
+    assert np.abs(error.values).max() <= before + 1e-12

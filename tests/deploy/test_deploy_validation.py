@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from skewmi.deploy.endpoint.base import GRID_NS
 from skewmi.deploy.endpoint.executor import PlanExecutor
-from skewmi.deploy.endpoint.lease import CommanderLease
 from skewmi.deploy.endpoint.run import limit_check
 from skewmi.deploy.endpoint.validation import (
     BrokenStreamError,
@@ -209,29 +208,3 @@ def test_a_motion_out_of_the_box_is_refused() -> None:
 def test_positions_that_jump_behind_harmless_velocities_are_refused() -> None:
     with pytest.raises(CommandRefusedError):
         VALIDATOR.check(changed("q", 20, 3, 1e-3), resting_plan(), NOW)
-
-
-def test_lease_hears_one_commander_until_it_is_silent() -> None:
-    lease = CommanderLease(timeout_ns=100)
-    ours, other = b"a" * 16, b"b" * 16
-    lease.open(0)
-    lease.check(ours, 5)
-    lease.renew(ours, 5, 10)
-    lease.check(ours, 6)
-    with pytest.raises(CommandRefusedError, match="is not the commander"):
-        lease.check(other, 7)
-    with pytest.raises(CommandRefusedError, match="holds the arm"):
-        lease.open(110)
-    assert not lease.expired(110)
-    assert lease.expired(111)
-    lease.open(111)
-    lease.check(other, 1)
-
-
-@pytest.mark.parametrize("sequence", [0, 4, 5])
-def test_repeated_and_overtaken_messages_are_refused(sequence: int) -> None:
-    lease = CommanderLease(timeout_ns=100)
-    lease.open(0)
-    lease.renew(b"a" * 16, 5, 10)
-    with pytest.raises(CommandRefusedError, match="does not follow 5"):
-        lease.check(b"a" * 16, sequence)

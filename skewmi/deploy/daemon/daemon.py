@@ -17,6 +17,7 @@ from skewmi.deploy.daemon.episode import EpisodeRunner
 from skewmi.deploy.daemon.observer import ArmState, Observer
 from skewmi.deploy.daemon.preflight import (
     check_agreement,
+    check_way,
     draw_start,
     followed_speed,
     planning_limits,
@@ -93,6 +94,7 @@ class Daemon:
             )
         check_agreement(policy.layout, options.robot_model_hash, limits, description)
         self._description = description
+        self._clock_ns = description.clock_ns
         workspace = policy.layout.workspace
         assert workspace is not None
         self._workspace = workspace
@@ -108,6 +110,7 @@ class Daemon:
             state_period_s=description.state_period_ns / 1e9,
             on_repeat=self._on_repeat,
         )
+        self._limits = limits
         self._times = CycleTimes()
         self._checks = ChunkChecks(limits, workspace)
         self._stream = ChunkStream(
@@ -129,9 +132,10 @@ class Daemon:
             )
             on_event(report.notes[-1])
 
-        def publish_policy(observation: bytes, action: bytes) -> None:
+        def publish_policy(observation: bytes, action: bytes | None) -> None:
             observations.put(observation)
-            actions.put(action)
+            if action is not None:
+                actions.put(action)
 
         self._runner = EpisodeRunner(
             policy,
@@ -190,11 +194,10 @@ class Daemon:
         seed = int(np.random.SeedSequence([self._options.seed, index]).generate_state(1)[0])
         final, go_on = np.zeros(0), True
         try:
-            state, q = self._preflight(seed)
-            self._fire(DaemonEvent.READY, "hashes and limits agree, states are fresh")
             self._checks.boxed = False
+            state, q, q_goal = self._preflight(seed)
+            self._fire(DaemonEvent.READY, "hashes and limits agree, states are fresh, way is free")
             if not self._options.dry_run:
-                q_goal = draw_start(self._workspace, seed, self._options.start_spread, q)
                 state = self._runner.move_to(q, q_goal, state)
                 q = q_goal
             self._fire(DaemonEvent.AT_START, "the arm rests at the start")
@@ -235,8 +238,12 @@ class Daemon:
         self._on_event(f"episode {index + 1}: {words} after {steps} steps ({reason})")
         return go_on and not self._stop.is_set()
 
-    def _preflight(self, seed: int) -> tuple[ArmState, Array]:
-        """Fresh states and an armed endpoint: the newest state, and where the arm is held."""
+    def _preflight(self, seed: int) -> tuple[ArmState, Array, Array]:
+        """Armed endpoint, way to the start checked, fresh states.
+
+        Returns:
+            The newest state, where the arm is held, and where the episode starts, rad.
+        """
         if self._stop.is_set():
             raise StopRequestedError("interrupted")
         # Armed first: a scene that somebody else works in must not be reset.
@@ -245,8 +252,11 @@ class Daemon:
             self._robot.reset_scene(seed)
         self._clock_ns = self._robot.describe().clock_ns
         self._open_gripper(self._workspace.gripper_opening)
-        state = self._observer.fresh_state()
-        return state, np.array(self._robot.describe().commanded_position)
+        q = np.array(self._robot.describe().commanded_position)
+        q_goal = draw_start(self._workspace, seed, self._options.start_spread, q)
+        check_way(q, q_goal, self._limits, self._checks)
+        # Checking takes a while: what was fresh before is not any more.
+        return self._observer.fresh_state(), q, q_goal
 
     def _supervise(self, state: ArmState) -> None:
         """Every cycle: has somebody asked to stop, and does the endpoint still follow?"""
@@ -273,6 +283,7 @@ class Daemon:
         self._machine.fire(event, reason, self._clock_ns)
 
     def _on_transition(self, transition: Transition[DaemonState]) -> None:
+        _log.info("%s", transition)
         level = {DaemonState.FAULT: ERROR, DaemonState.STOPPING: WARN}.get(transition.target, OK)
         values = {
             "state": transition.target.value,

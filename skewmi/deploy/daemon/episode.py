@@ -58,7 +58,8 @@ class EpisodeRunner:
         supervise: Called every cycle with the newest state; raises to stop, and
             `LateChunkError` if the endpoint refused a chunk for being late.
         resync: Waits until the arm rests; gives where the endpoint holds it and the newest state.
-        publish_policy: Called with encoded observation and action after every control step.
+        publish_policy: Called with encoded observation and action after every control step, and
+            with the observation that ended the episode, and None.
         publish_gripper: Called with an opening, m.
     """
 
@@ -74,7 +75,7 @@ class EpisodeRunner:
         speed: float,
         supervise: Callable[[ArmState], None],
         resync: Callable[[], tuple[Array, ArmState]],
-        publish_policy: Callable[[bytes, bytes], None],
+        publish_policy: Callable[[bytes, bytes | None], None],
         publish_gripper: Callable[[float], None],
     ) -> None:
         self._policy = policy
@@ -191,6 +192,8 @@ class EpisodeRunner:
                     held = held + 1 if step and bool(inside_region(layout, observation)) else 0
                     success = held >= layout.success_hold_steps
                     if success or step == layout.episode_steps:
+                        # What decided the outcome belongs to the record, too.
+                        self._publish_step(state.stamp_ns, observation)
                         return PolicyEnd(success, step, observation, held_back, reason)
                     action = policy.act(observation)
                     times.lap("policy")
@@ -231,14 +234,13 @@ class EpisodeRunner:
                 planner.reset(q)
                 stream.begin(q, state.stamp_ns)
 
-    def _publish_step(self, stamp_ns: int, observation: Array, action: Array) -> None:
-        nothing = observation[:0]
-        self._publish_policy(
-            *(
-                encode_joint_states(JointStates(stamp_ns, names, values, nothing, nothing))
-                for names, values in (
-                    (self._layout.observation_names, observation),
-                    (self._action_names, action),
-                )
-            )
-        )
+    def _publish_step(self, stamp_ns: int, observation: Array, action: Array | None = None) -> None:
+        layout = self._layout
+        seen = _encode(stamp_ns, layout.observation_names, observation)
+        done = None if action is None else _encode(stamp_ns, self._action_names, action)
+        self._publish_policy(seen, done)
+
+
+def _encode(stamp_ns: int, names: tuple[str, ...], values: Array) -> bytes:
+    nothing = values[:0]
+    return encode_joint_states(JointStates(stamp_ns, names, values, nothing, nothing))

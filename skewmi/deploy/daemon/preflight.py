@@ -6,8 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from skewmi.deploy.daemon.checks import ChunkChecks
 from skewmi.deploy.daemon.stream import CYCLE_NS, GRID_NS
 from skewmi.deploy.description import EndpointDescription, limit_values
+from skewmi.deploy.motion.start_motion import StartMotion
 from skewmi.errors import ConfigurationError, LayoutMismatchError
 from skewmi.policy_io import Array, PolicyLayout, Workspace
 from skewmi.robot_models import limits as joint_limits
@@ -20,6 +22,9 @@ OTHER_POSTURE = 0.5
 """Joint distance from the task's posture beyond which the start is sought from there, rad."""
 
 _START_ITERATIONS = 50
+
+_WAY_SAMPLES = 10
+"""The guard looks at so many samples at once: few enough to be near each other."""
 
 
 def check_agreement(
@@ -134,6 +139,29 @@ def draw_start(workspace: Workspace, seed: int, spread: float, q_near: Array) ->
     require_converged(result)
     q: Array = result.q[0]
     return q
+
+
+def check_way(q: Array, q_goal: Array, limits: JointLimits, checks: ChunkChecks) -> None:
+    """Check the whole motion to a start before any of it is sent.
+
+    Args:
+        q: Where the arm rests, rad. Shape (7,).
+        q_goal: Where it is to go, rad. Shape (7,).
+        limits: To plan with.
+        checks: That every chunk has to pass.
+
+    Raises:
+        LimitViolationError: An end is outside the position limits, or the way leads through the
+            arm, body or table or asks for too much torque.
+    """
+    motion = StartMotion(q, q_goal, limits)
+    rest = np.zeros(7)
+    # Braking tails stay on the line of the motion: where it is free, they are. Limits on the grid
+    # are the motion's own business, and every chunk is checked for everything when it is sent.
+    guard = dict(checks.stages)["guard"]
+    for first in range(0, len(motion.q), _WAY_SAMPLES):
+        part = slice(first, first + _WAY_SAMPLES + 1)
+        guard(motion.q[part], motion.v[part], motion.a[part], (motion.q[first], rest, rest))
 
 
 def _check_limits(limits: JointLimits, endpoint: EndpointDescription) -> None:

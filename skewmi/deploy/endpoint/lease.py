@@ -82,7 +82,8 @@ class CommanderLease:
                 f"{self.gripper_holder.hex()[:8]}"
             )
         if sequence is not None:
-            if sequence <= self.gripper_sequence:
+            # The first one opens the count: some ROS 2 nodes start at 0.
+            if self.gripper_holder is not None and sequence <= self.gripper_sequence:
                 raise CommandRefusedError(
                     f"gripper sequence {sequence} does not follow {self.gripper_sequence}: "
                     "repeated or overtaken"

@@ -111,7 +111,8 @@ class EndpointServer:
         if self._options.lock_step:
             self._run_lock_step(stop)
             return
-        with hot_loop(priority=True):
+        with hot_loop(priority=True) as granted:
+            _log.info("real-time loop: %s", ", ".join(granted))
             self._run_real_time(stop)
 
     def _ended(self, stop: threading.Event) -> bool:

@@ -1,1 +1,1 @@
-"""Recordings as Rerun files."""
+"""Runs in Rerun: recordings as files, deployments live."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,8 +10,10 @@ import numpy as np
 import rerun as rr
 
 from skewmi.deploy.recording.reader import read_recording
-from skewmi.deploy.replay.data import Run, tracking_error, understand
-from skewmi.deploy.replay.view import log_run
+from skewmi.deploy.replay import viewer
+from skewmi.deploy.replay.assembler import understand
+from skewmi.deploy.replay.data import Run
+from skewmi.deploy.replay.view import RunView
 from skewmi.errors import ConfigurationError
 
 APPLICATION = "skewmi_replay"
@@ -55,7 +56,7 @@ def write_replay(recording_path: Path, rrd_path: Path) -> ReplayReport:
     stream = rr.RecordingStream(APPLICATION, recording_id=recording_path.stem)
     try:
         stream.save(unfinished)
-        log_run(stream, run, recording_path.stem)
+        RunView(stream, run.subject, recording_path.stem).draw(run)
         stream.flush()
         stream.disconnect()
         unfinished.replace(rrd_path)
@@ -74,28 +75,20 @@ def show_replay(recording_path: Path) -> ReplayReport:
     recording = read_recording(recording_path)
     run = understand(recording)
     stream = rr.RecordingStream(APPLICATION, recording_id=recording_path.stem)
-    # The viewer comes with the package, but its folder need not be on the PATH.
-    folder = Path(sys.executable).parent
-    os.environ["PATH"] = os.pathsep.join((os.environ.get("PATH", ""), str(folder)))
-    try:
-        stream.spawn()
-    except RuntimeError as error:
-        raise ConfigurationError(
-            f"cannot start a Rerun viewer ({error}); use --out and open the file elsewhere"
-        ) from error
-    log_run(stream, run, recording_path.stem)
+    stream.connect_grpc(viewer.spawn_viewer("use --out and open the file elsewhere"))
+    RunView(stream, run.subject, recording_path.stem).draw(run)
     stream.flush()
     counts = {topic: len(messages) for topic, messages in recording.messages.items()}
     return _report(run, counts, recording.complete)
 
 
 def _report(run: Run, counts: dict[str, int], complete: bool) -> ReplayReport:
-    motion, limits = run.commanded, run.limits
+    motion, limits = run.commanded, run.subject.limits
     use = {}
     for name, values in (("velocity", motion.v), ("acceleration", motion.a), ("jerk", motion.jerk)):
         if name in limits and len(values):
             use[name] = float(np.abs(values / limits[name]).max())
-    _, error = tracking_error(run)
+    error = run.error.values
     error_mm = 1e3 * float(np.linalg.norm(error, axis=1).max()) if len(error) else None
     return ReplayReport(
         duration_s=run.duration_s,

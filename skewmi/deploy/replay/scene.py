@@ -1,4 +1,4 @@
-"""The 3D part of a replay: robot, ghost of the command, scene, paths, workspace box."""
+"""The 3D part of a view: robot, ghost of the command, scene, paths, workspace box."""
 
 from __future__ import annotations
 
@@ -13,15 +13,49 @@ import rerun as rr
 
 from skewmi.deploy.recording.scene_geometry import SceneGeometry, SceneJoint
 from skewmi.deploy.replay.data import Motion, Run, Series
-from skewmi.deploy.replay.style import BOX, COMMANDED, MEASURED, Array, at
+from skewmi.deploy.replay.style import BOX, COMMANDED, MEASURED, TIMELINE, Array, Canvas
+from skewmi.policy_io import Workspace
 from skewmi.robot_models import frames, yumi
 from skewmi.robot_models.urdf import build_urdf
 
+_JUMP = 0.03
+"""m; between two samples the hand moves 5 mm at most."""
 
-def log_robot(recording: Any, name: str, motion: Motion, fingers: Series, *, ghost: bool) -> None:
-    """The robot from our URDF; a ghost is the moving arm alone, transparent."""
-    if not len(motion.time_s):
-        return
+
+class RobotView:
+    """The robot from our URDF, moving; a ghost is the moving arm alone, transparent.
+
+    Args:
+        canvas: Where to draw.
+        name: What it shows; part of its entities' paths.
+        ghost: See above.
+    """
+
+    def __init__(self, canvas: Canvas, name: str, *, ghost: bool) -> None:
+        self._canvas, self._name, self._ghost = canvas, name, ghost
+        self._tree: Any = None
+
+    def draw(self, motion: Motion, fingers: Series) -> None:
+        """Move the robot; its shapes are logged with the first motion."""
+        if not len(motion.time_s):
+            return
+        if self._tree is None:
+            self._tree = _log_shapes(self._canvas.recording, self._name, ghost=self._ghost)
+        for index, joint in enumerate(yumi.joint_names("right")):
+            self._turn(joint, motion.time_s, motion.q[:, index])
+        if fingers.names:
+            for joint in yumi.finger_names("right"):
+                self._turn(joint, fingers.time_s, fingers.values[:, 0])
+
+    def _turn(self, joint: str, time_s: Array, values: Array) -> None:
+        found = self._tree.get_joint_by_name(joint)
+        assert found is not None, joint
+        columns = found.compute_transform_columns(values, clamp=False)
+        self._canvas.columns(f"/robot_{self._name}/joints/{joint}", time_s, columns)
+
+
+def _log_shapes(recording: Any, name: str, *, ghost: bool) -> Any:
+    """Shapes and frames of the robot; the URDF's tree."""
     text = build_urdf(arms=("right",)) if ghost else build_urdf()
     if ghost:
         colour = " ".join(f"{c / 255:.3f}" for c in COMMANDED[:3])
@@ -48,11 +82,7 @@ def log_robot(recording: Any, name: str, motion: Motion, fingers: Series, *, gho
         ),
         static=True,
     )
-    for index, joint in enumerate(yumi.joint_names("right")):
-        _log_joint(recording, name, tree, joint, motion.time_s, motion.q[:, index])
-    if fingers.names:
-        for joint in yumi.finger_names("right"):
-            _log_joint(recording, name, tree, joint, fingers.time_s, fingers.values[:, 0])
+    return tree
 
 
 def _make_solid(recording: Any, tree: Any, text: str) -> None:
@@ -71,84 +101,99 @@ def _make_solid(recording: Any, tree: Any, text: str) -> None:
             recording.log(path, solid, static=True)
 
 
-def _log_joint(
-    recording: Any, name: str, tree: Any, joint: str, time_s: Array, values: Array
-) -> None:
-    found = tree.get_joint_by_name(joint)
-    assert found is not None, joint
-    columns = found.compute_transform_columns(values, clamp=False)
-    recording.send_columns(f"/robot_{name}/joints/{joint}", indexes=at(time_s), columns=columns)
+class PathView:
+    """Where the hand went and goes, and the box it may not leave.
 
+    Args:
+        canvas: Where to draw.
+        workspace: The box, if known.
+        trail: Draw each stretch of the path at its time, so that a view can show the latest
+            ones; else the first stretch is the path and always visible.
+    """
 
-def log_paths(recording: Any, run: Run) -> None:
-    """Where the hand went and goes, and the box it may not leave."""
-    for name, motion, colour in (
-        ("commanded", run.commanded, COMMANDED),
-        ("measured", run.measured, MEASURED),
-    ):
+    def __init__(self, canvas: Canvas, workspace: Workspace | None, *, trail: bool) -> None:
+        self._canvas, self._trail = canvas, trail
+        self._ends: dict[str, Array] = {}
+        if workspace is not None:
+            canvas.style(
+                "/world/workspace",
+                rr.Boxes3D(
+                    mins=[workspace.low],
+                    sizes=[np.subtract(workspace.high, workspace.low)],
+                    colors=[BOX],
+                    radii=[0.001],
+                ),
+            )
+
+    def draw(self, run: Run) -> None:
+        """Move both hands and lengthen their paths."""
+        self._draw("commanded", run.commanded, COMMANDED)
+        self._draw("measured", run.measured, MEASURED)
+
+    def _draw(self, name: str, motion: Motion, colour: tuple[int, ...]) -> None:
         if not len(motion.time_s):
-            continue
+            return
         hand = motion.hand_w
-        recording.log(
-            f"/world/path/{name}",
-            rr.LineStrips3D([hand[:: max(1, len(hand) // 4000)]], colors=[colour], radii=[0.0008]),
-            static=True,
-        )
-        recording.send_columns(
-            f"/world/hand/{name}",
-            indexes=at(motion.time_s),
-            columns=rr.Points3D.columns(positions=hand),
-        )
-        recording.log(
-            f"/world/hand/{name}",
-            rr.Points3D.from_fields(colors=[colour], radii=[0.005]),
-            static=True,
-        )
-    workspace = run.layout.workspace if run.layout is not None else None
-    if workspace is not None:
-        recording.log(
-            "/world/workspace",
-            rr.Boxes3D(
-                mins=[workspace.low],
-                sizes=[np.subtract(workspace.high, workspace.low)],
-                colors=[BOX],
-                radii=[0.001],
-            ),
-            static=True,
-        )
+        path = f"/world/hand/{name}"
+        self._canvas.style(path, rr.Points3D.from_fields(colors=[colour], radii=[0.005]))
+        self._canvas.columns(path, motion.time_s, rr.Points3D.columns(positions=hand))
+        path = f"/world/path/{name}"
+        if not self._trail:
+            strip = hand[:: max(1, len(hand) // 4000)]
+            self._canvas.style(path, rr.LineStrips3D([strip], colors=[colour], radii=[0.0008]))
+            return
+        strip = np.concatenate([self._ends.get(name, hand[:1]), hand])
+        self._ends[name] = hand[-1:]
+        # A simulated arm is put elsewhere between episodes: that is no path.
+        breaks = np.flatnonzero(np.linalg.norm(np.diff(strip, axis=0), axis=1) > _JUMP) + 1
+        strips = [part for part in np.split(strip, breaks) if len(part) > 1]
+        if strips:
+            self._canvas.recording.set_time(TIMELINE, duration=float(motion.time_s[-1]))
+            self._canvas.recording.log(
+                path, rr.LineStrips3D(strips, colors=[colour], radii=[0.0008])
+            )
 
 
-def log_scene(recording: Any, geometry: SceneGeometry, states: Series) -> None:
-    """Each part under its joint; a joint's entity carries the motion."""
-    for joint in geometry.joints:
-        if joint.name in states.names:
-            _log_scene_joint(recording, joint, states)
-    for part in geometry.parts:
-        recording.log(
-            f"/world/scene/{part.joint or 'fixed'}/{part.name}",
-            rr.Boxes3D(
-                half_sizes=[part.half_size],
-                centers=[part.position],
-                quaternions=[rr.Quaternion(xyzw=np.roll(part.quaternion_wxyz, -1))],
-                colors=[part.colour],
-                fill_mode="solid",
-            ),
-            static=True,
-        )
+class SceneView:
+    """The shapes around the robot, each under its joint; a joint's entity carries the motion.
+
+    Args:
+        canvas: Where to draw.
+        geometry: The shapes.
+    """
+
+    def __init__(self, canvas: Canvas, geometry: SceneGeometry) -> None:
+        self._canvas, self._geometry = canvas, geometry
+        for part in geometry.parts:
+            canvas.style(
+                f"/world/scene/{part.joint or 'fixed'}/{part.name}",
+                rr.Boxes3D(
+                    half_sizes=[part.half_size],
+                    centers=[part.position],
+                    quaternions=[rr.Quaternion(xyzw=np.roll(part.quaternion_wxyz, -1))],
+                    colors=[part.colour],
+                    fill_mode="solid",
+                ),
+            )
+
+    def draw(self, states: Series) -> None:
+        """Move the scene's joints."""
+        for joint in self._geometry.joints:
+            if joint.name in states.names and len(states.time_s):
+                values = states.values[:, states.names.index(joint.name)]
+                path = f"/world/scene/{joint.name}"
+                self._canvas.columns(path, states.time_s, _joint_columns(joint, values))
 
 
-def _log_scene_joint(recording: Any, joint: SceneJoint, states: Series) -> None:
-    values = states.values[:, states.names.index(joint.name)]
+def _joint_columns(joint: SceneJoint, values: Array) -> Any:
     axis, anchor = np.array(joint.axis), np.array(joint.anchor)
     if joint.kind == "slide":
-        columns = rr.Transform3D.columns(translation=values[:, None] * axis)
-    else:
-        # p' = R (p - anchor) + anchor
-        half = values / 2
-        vector = np.sin(half)[:, None] * axis
-        quaternion = np.column_stack([vector, np.cos(half)])
-        turned = anchor + 2 * np.cross(
-            vector, np.cross(vector, anchor) + np.cos(half)[:, None] * anchor
-        )
-        columns = rr.Transform3D.columns(translation=anchor - turned, quaternion=quaternion)
-    recording.send_columns(f"/world/scene/{joint.name}", indexes=at(states.time_s), columns=columns)
+        return rr.Transform3D.columns(translation=values[:, None] * axis)
+    # p' = R (p - anchor) + anchor
+    half = values / 2
+    vector = np.sin(half)[:, None] * axis
+    quaternion = np.column_stack([vector, np.cos(half)])
+    turned = anchor + 2 * np.cross(
+        vector, np.cross(vector, anchor) + np.cos(half)[:, None] * anchor
+    )
+    return rr.Transform3D.columns(translation=anchor - turned, quaternion=quaternion)

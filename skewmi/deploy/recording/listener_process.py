@@ -1,0 +1,99 @@
+"""Our side of a process that listens to a link: starts it, feeds it lines, waits for its end.
+
+It is one more subscriber. It costs daemon and endpoint nothing but the sending of what they send
+anyway; its interpreter lock, garbage collector, disk and screen cannot hold them up. It outlives
+whoever started it: if that is killed, its end of a pipe closes, and the listener finishes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import select
+import subprocess
+import sys
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from tempfile import TemporaryFile
+from typing import Any
+
+from skewmi.deploy.wire.transport import TransportConfig
+
+_START_TIMEOUT_S = 30.0
+
+
+class ListenerStartError(Exception):
+    """The process did not get ready; the message says why."""
+
+
+class ListenerProcess:
+    """A child process that runs one of our listeners.
+
+    Args:
+        module: What to run, as `python -m`.
+        config: How to reach the endpoint; only its locators, file and domain matter.
+        task: What the listener is told first.
+
+    Raises:
+        ListenerStartError: It ended, or was not ready in time.
+    """
+
+    def __init__(self, module: str, config: TransportConfig, task: Mapping[str, Any]) -> None:
+        # A file, because nobody reads while it runs: a full pipe would block it.
+        self._words = TemporaryFile()  # noqa: SIM115 (lives as long as we do)
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", module],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._words,
+            # A session of its own, so that Ctrl-C reaches the daemon only.
+            start_new_session=True,
+        )
+        # A listener connects even if its owner listens.
+        client = replace(config, connect=config.connect or config.listen, listen=())
+        self.write({**task, "config": _config_json(client)})
+        assert self.process.stdout is not None
+        ready, _, _ = select.select([self.process.stdout], [], [], _START_TIMEOUT_S)
+        if not ready or not self.process.stdout.readline():
+            # If it has said why, it is about to end; otherwise it hangs.
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self.process.wait(0.5 if ready else 0.0)
+            self.process.kill()
+            raise ListenerStartError(self.reason())
+
+    def write(self, content: object) -> None:
+        """Send a line; not for the hot loop. Nothing happens if the process is gone."""
+        assert self.process.stdin is not None
+        with contextlib.suppress(OSError, ValueError):
+            self.process.stdin.write(json.dumps(content).encode() + b"\n")
+            self.process.stdin.flush()
+
+    def finish(self, timeout_s: float) -> dict[str, Any]:
+        """Tell the process that this was all, and wait for its last words.
+
+        Raises:
+            TimeoutError: It did not end in time, and was killed.
+            ValueError: It ended without them.
+        """
+        try:
+            # Closes the pipe: that is how the listener learns that this was all.
+            out, _ = self.process.communicate(timeout=timeout_s)
+        except subprocess.TimeoutExpired as error:
+            self.process.kill()
+            raise TimeoutError from error
+        content: dict[str, Any] = json.loads(out)
+        return content
+
+    def reason(self) -> str:
+        """Why the process ended, in its own words if it had any; waits for the end."""
+        self.process.wait()
+        self._words.seek(0)
+        lines = [s for s in self._words.read().decode(errors="replace").splitlines() if s.strip()]
+        return lines[-1] if lines else "the process was killed or hung"
+
+
+def _config_json(config: TransportConfig) -> dict[str, object]:
+    content = asdict(config)
+    if config.zenoh_config is not None:
+        content["zenoh_config"] = str(config.zenoh_config)
+    return content

@@ -1,0 +1,128 @@
+"""Shows a deployment in Rerun while it happens, from a process of its own.
+
+Nothing that becomes of the view reaches the deployment: if its process dies, the run goes on
+without; if it is stuck, it is killed, because a subscriber that takes nothing would in the end
+slow those who send. A viewer that dies or hangs takes part of the picture with it, nothing else.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import select
+import threading
+from collections.abc import Mapping
+from types import TracebackType
+from typing import Self
+
+from skewmi.deploy.options import LiveOptions
+from skewmi.deploy.recording.listener_process import ListenerProcess, ListenerStartError
+from skewmi.deploy.wire.transport import TransportConfig
+from skewmi.errors import ConfigurationError
+
+_STUCK_S = 5.0
+"""Without a sign of life for so long, the process is killed; it gives one every second."""
+
+_CLOSE_TIMEOUT_S = 10.0
+
+
+class LiveView:
+    """A live view of all topics of a link; a context manager that ends it.
+
+    Args:
+        options: Where to show it.
+        config: How to reach the endpoint.
+        metadata: What the run is about; see `reader.run_metadata`.
+        title: What to call it.
+
+    Raises:
+        ConfigurationError: It cannot be shown there; nothing has moved yet.
+    """
+
+    def __init__(
+        self,
+        options: LiveOptions,
+        config: TransportConfig,
+        metadata: Mapping[str, str],
+        title: str,
+    ) -> None:
+        task = {
+            "metadata": dict(metadata),
+            "title": title,
+            "spawn": options.spawn,
+            "connect": options.connect,
+            "out": None if options.out is None else str(options.out),
+        }
+        try:
+            self._listener = ListenerProcess("skewmi.deploy.replay.live_process", config, task)
+        except ListenerStartError as error:
+            raise ConfigurationError(f"no live view: {error}") from error
+        self._said = b""
+        self._stuck = False
+        self._notes: list[str] | None = None
+        self._watcher = threading.Thread(target=self._watch, name="skewmi-live", daemon=True)
+        self._watcher.start()
+
+    @property
+    def pid(self) -> int:
+        """Of the process."""
+        return self._listener.process.pid
+
+    def close(self) -> list[str]:
+        """End the view; what it lacks. Safe to call twice; neither raises nor waits for long."""
+        if self._notes is None:
+            assert self._listener.process.stdin is not None
+            with contextlib.suppress(OSError):
+                self._listener.process.stdin.close()
+            self._watcher.join(_CLOSE_TIMEOUT_S)
+            if self._watcher.is_alive():
+                self._kill()
+                self._watcher.join()
+            self._notes = self._judge()
+        return self._notes
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _watch(self) -> None:
+        """Read what the process says until it ends; kill it if it says nothing."""
+        assert self._listener.process.stdout is not None
+        said = self._listener.process.stdout.fileno()
+        while True:
+            ready, _, _ = select.select([said], [], [], _STUCK_S)
+            if not ready:
+                self._kill()
+                return
+            words = os.read(said, 4096)
+            if not words:
+                return
+            self._said = (self._said + words)[-4096:]
+
+    def _kill(self) -> None:
+        self._stuck = True
+        self._listener.process.kill()
+
+    def _judge(self) -> list[str]:
+        if self._stuck:
+            self._listener.process.wait()
+            return ["the live view hung and was ended"]
+        last = self._said.strip().rsplit(b"\n", 1)[-1]
+        try:
+            summary = json.loads(last)
+            missed, taken = int(summary["missed"]), bool(summary["taken"])
+        except (ValueError, KeyError, TypeError):
+            return [f"the live view ended early: {self._listener.reason()}"]
+        self._listener.process.wait()
+        notes = [f"the live view lacks {missed} messages"] if missed else []
+        if not taken:
+            notes.append("the live view's end was not taken by the viewer")
+        return notes

@@ -1,0 +1,160 @@
+"""The process behind `live.LiveView`: subscribes to every topic and draws what comes in Rerun.
+
+    python -m skewmi.deploy.replay.live_process
+
+Standard input and output as in `recording.listener`: the task is {"config", "metadata", "title",
+"spawn", "connect", "out"}. A line a second tells the owner that this process is not stuck; the
+counts come last.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import rerun as rr
+
+from skewmi.deploy.recording.listener import Counts, Input, listen
+from skewmi.deploy.replay import viewer
+from skewmi.deploy.replay.assembler import RunAssembler
+from skewmi.deploy.replay.data import Subject
+from skewmi.deploy.replay.view import RunView
+from skewmi.deploy.wire.transport import Link
+from skewmi.errors import SkewmiError
+
+APPLICATION = "skewmi_live"
+
+PERIOD_S = 0.1
+"""Between two looks at what has come. Each is drawn with one call per entity, however much came."""
+
+ALIVE_S = 1.0
+"""Between two signs of life."""
+
+_NICENESS = 10
+"""Drawing waits for those who move the arm; a viewer that is spawned inherits it."""
+
+_FLUSH_TIMEOUT_S = 3.0
+_GIVE_UP_S = 5.0
+"""After the owner's end: a viewer that takes nothing for minutes fills Rerun's buffers, and
+drawing waits for it for ever."""
+
+
+class _Streams:
+    """A Rerun stream to each place that the task asks for: a dead one must not hold up another.
+
+    Args:
+        task: See the module.
+
+    Raises:
+        ConfigurationError: A viewer cannot be started or reached.
+    """
+
+    def __init__(self, task: dict[str, Any]) -> None:
+        name = f"{Path(task['title']).name} {time.strftime('%H:%M:%S')}"
+        self.all: list[Any] = []
+        if task["out"] is not None:
+            self.all.append(_open(name, rr.FileSink(task["out"])))
+        if task["spawn"]:
+            url = viewer.spawn_viewer(
+                "use --live-out FILE, or --live-connect where there is a screen"
+            )
+            self.all.append(_open(name, rr.GrpcSink(url)))
+        if task["connect"] is not None:
+            viewer.require_viewer(task["connect"])
+            self.all.append(_open(name, rr.GrpcSink(task["connect"])))
+
+    def finish(self) -> bool:
+        """Send what is left, the file first; whether everything was taken in time."""
+        for stream in self.all:
+            try:
+                stream.flush(timeout_sec=_FLUSH_TIMEOUT_S)
+                stream.disconnect()
+            except (RuntimeError, ValueError) as error:
+                sys.stderr.write(f"{' '.join(str(error).split())}\n")
+                return False
+        return True
+
+
+def _open(name: str, sink: Any) -> Any:
+    stream = rr.RecordingStream(APPLICATION)
+    stream.set_sinks(sink)
+    stream.send_recording_name(name)
+    return stream
+
+
+def _show(source: Input, streams: _Streams) -> tuple[Counts, RunAssembler]:
+    task = source.task
+    subject = Subject.from_metadata(task["metadata"], "the run's description")
+    with Link.open(source.transport(), f"skewmi_live_{os.getpid()}") as link:
+        assembler = RunAssembler(subject)
+        views = [RunView(stream, subject, task["title"], live=True) for stream in streams.all]
+
+        def draw(*, final: bool = False) -> None:
+            run = assembler.take(final=final)
+            if run is not None:
+                for view in views:
+                    view.draw(run)
+
+        threading.Thread(target=_tell_alive, daemon=True).start()
+        counts = listen(
+            link,
+            source,
+            PERIOD_S,
+            on_sample=lambda topic, sample: assembler.feed(topic.name, sample.payload),
+            on_round=draw,
+            on_line=lambda line: None,
+        )
+        draw(final=True)
+    return counts, assembler
+
+
+def _tell_alive() -> None:
+    with contextlib.suppress(OSError):  # the owner is gone
+        while True:
+            os.write(1, b"alive\n")
+            time.sleep(ALIVE_S)
+
+
+def main() -> int:
+    """Draw until standard input ends. Returns the exit code; failures go to stderr."""
+    with contextlib.suppress(OSError):
+        os.nice(_NICENESS)
+    opened: list[_Streams] = []
+
+    def give_up() -> None:
+        time.sleep(_GIVE_UP_S)
+        for streams in opened:
+            streams.finish()
+        os._exit(1)
+
+    source = Input(on_end=give_up)
+    try:
+        streams = _Streams(source.task)
+        opened.append(streams)
+        counts, assembler = _show(source, streams)
+    except (SkewmiError, OSError, RuntimeError) as error:
+        sys.stderr.write(f"{' '.join(str(error).split())}\n")
+        return 1
+    taken = streams.finish()
+    summary = {
+        "messages": counts.messages,
+        "missed": counts.missed,
+        "malformed": assembler.malformed,
+        "taken": taken,
+    }
+    sys.stdout.write(json.dumps(summary) + "\n")
+    sys.stdout.flush()
+    if not taken:
+        # Tidying up would wait for whoever takes nothing more.
+        os._exit(0)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
