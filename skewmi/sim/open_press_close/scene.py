@@ -16,7 +16,7 @@ from skewmi.sim.open_press_close import parts
 from skewmi.sim.open_press_close.definition import SIM_DT, make_layout
 from skewmi.sim.open_press_close.randomization import Randomization
 
-_KP = np.array([375.0, 375.0, 250.0, 250.0, 600.0, 600.0, 300.0])
+_KP = np.array([300.0, 300.0, 200.0, 200.0, 600.0, 600.0, 300.0])
 SERVO = servo.DEFAULT.with_changes(
     kp=_KP,
     kd=servo.critical_damping(_KP, servo.ARMATURE),
