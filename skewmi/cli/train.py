@@ -16,7 +16,7 @@ from skewmi.cli.policies import twin_option
 from skewmi.errors import CheckpointError, ConfigurationError
 from skewmi.sim import tasks
 from skewmi.train import run
-from skewmi.train.checkpoint import read_run_header
+from skewmi.train.checkpoint import read_checkpoint, read_run_header
 from skewmi.train.config import TrainConfig
 from skewmi.train.presets import preset
 from skewmi.train.run import TrainResult
@@ -36,6 +36,9 @@ class TrainCommand:
     """Of networks, sampling and environment."""
     resume: bool = False
     """Continue the run in the directory, or start it if there is none yet."""
+    start_from: Path | None = None
+    """Begin with the networks and the replay of another run, say to go on under a twin; its
+    steps count as done."""
     steps: int | None = None
     """Environment steps in total; default: the preset's."""
     minutes: float | None = None
@@ -99,6 +102,27 @@ def with_settings(config: TrainConfig, settings: Sequence[str]) -> TrainConfig:
         raise ConfigurationError(f"--set {' '.join(settings)}: {error}") from error
 
 
+def begun_from(options: TrainCommand) -> TrainConfig:
+    """The configuration of a run that begins with another one's networks and replay."""
+    assert options.start_from is not None
+    config, _ = read_run_header(options.start_from)
+    if options.task not in (None, config.task) or options.set or options.num_envs is not None:
+        raise ConfigurationError(
+            "--start-from takes task and numbers from the run it names; leave out --task, --set "
+            "and --num-envs"
+        )
+    step = read_checkpoint(options.start_from).state["step"]
+    without_twin = tuple((k, v) for k, v in config.task_options if k != "twin")
+    return replace(
+        config,
+        started_from=f"{options.start_from.name}, step {step}",
+        seed=options.seed,
+        device=options.device,
+        threads=options.threads,
+        task_options=without_twin + tuple(twin_option(options.twin).items()),
+    )
+
+
 def resolve(options: TrainCommand) -> TrainConfig:
     """The configuration that the options mean.
 
@@ -120,6 +144,8 @@ def resolve(options: TrainCommand) -> TrainConfig:
                 f"--set changes a run that exists in {options.run_dir}; leave --set out to "
                 "continue it, or use another directory"
             )
+    elif options.start_from is not None:
+        config = begun_from(options)
     elif options.task is None:
         config, _ = read_run_header(options.run_dir)  # says that there is no run here
     else:
@@ -155,7 +181,12 @@ def train(options: TrainCommand) -> TrainResult:
         **dict(config.task_options),
     )
     return run.run_train(
-        config, env, options.run_dir, resume=options.resume, progress=not options.quiet
+        config,
+        env,
+        options.run_dir,
+        resume=options.resume,
+        start_from=options.start_from,
+        progress=not options.quiet,
     )
 
 

@@ -221,6 +221,9 @@ class TrainConfig:
     """Where the numbers started from."""
     task_options: tuple[tuple[str, bool | int | float | str], ...] = ()
     """Options the environment is made with: (name, value)."""
+    started_from: str = ""
+    """The run whose networks and replay this one began with, and at which step; empty: from
+    scratch."""
     seed: int = 0
     """Of networks, sampling and environment."""
     total_steps: int = 2_000_000

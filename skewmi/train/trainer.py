@@ -241,8 +241,23 @@ class Trainer:
             "layout_hash": self.layout.hash(),
         }
 
-    def load(self, checkpoint: Checkpoint) -> None:
+    def begin_with(self, checkpoint: Checkpoint) -> None:
+        """Take networks, replay and counters from another run; what converged there has not here.
+
+        Raises:
+            CheckpointError: It is damaged or does not fit.
+        """
+        self.load(checkpoint, environment=False)
+        self.converged_at, self.best_score = None, (0.0, 0.0)
+        measure = self.config.measure
+        self.convergence = Convergence(measure.convergence_share, measure.convergence_tolerance)
+
+    def load(self, checkpoint: Checkpoint, *, environment: bool = True) -> None:
         """Continue exactly where `checkpoint` was written.
+
+        Args:
+            checkpoint: Of a run of this configuration.
+            environment: Whether the environment's random streams continue, too.
 
         Raises:
             CheckpointError: It is damaged or does not fit.
@@ -272,7 +287,8 @@ class Trainer:
             self.discoveries.first = s["discoveries"]
             self.moments.load(s["moments"])
             self.generator.bit_generator.state = s["numpy_random"]
-            self.env.set_random_state(s["env_random"])
+            if environment:
+                self.env.set_random_state(s["env_random"])
             read_blocks(self.replay, checkpoint.path / "replay", s["episodes"])
         except (KeyError, TypeError, ValueError, IndexError) as error:
             raise CheckpointError(f"checkpoint {checkpoint.path} is damaged: {error}") from error
