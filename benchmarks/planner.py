@@ -1,20 +1,19 @@
-"""Planner cycle: each stage alone, the whole cycle, and the quality of the path.
+"""Planner cycle and endpoint tick in real time, and the quality of the planned path.
 
-    python benchmarks/planner.py --out results/planner.json
+    python benchmarks/planner.py --json --out results/planner.json
 
-`ratio_to_sum` is the whole cycle (plan, check, guard) over the sum of its stages measured
-alone, medians of the processor time (other programs on the machine do not count): what the glue
-between them costs. Path quality is measured for steps of 150 mm/s along several directions.
+The cycle is paced at 50 Hz as the daemon's: plan, check, guard, encode, within the daemon's own
+real-time settings. Stages are timed inside of it; a cycle that is not done when the next is due
+counts as missed. Then cycles take turns with the bare calls of the libraries on the same chunks
+(`planner_bare`); `ratio_to_sum` is the cycle over their sum, medians of the processor time (other
+programs do not count): what the glue costs. Then the endpoint's tick at 250 Hz
+(`planner_endpoint`), and paths (`planner_path`).
 """
 
 from __future__ import annotations
 
-import gc
 import sys
 import time
-from collections import defaultdict
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,216 +23,196 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import common
-from planner_fuzz import press_workspace
+import planner_path
+from planner_bare import LIBRARIES, OWN, BareCalls
+from planner_endpoint import measure_endpoint
+from planner_judge import UrdfArm
+from planner_scenes import press_workspace
+from planner_timing import Pace, Seconds, StageTimes, percentiles
 
+from skewmi.deploy.daemon.realtime import hot_loop
 from skewmi.deploy.guard import Guard
 from skewmi.deploy.limits import ChunkChecker
-from skewmi.deploy.motion.cartesian_shaper import CartesianShaper, Reference
-from skewmi.deploy.motion.differential_ik import DifferentialIk
-from skewmi.deploy.motion.joint_shaper import JointShaper
 from skewmi.deploy.motion.planner import PlannedChunk, Planner
-from skewmi.robot_models import frames, limits, yumi
-from skewmi.robot_models.frames import rotation_vector
+from skewmi.deploy.wire.messages import TrajectoryChunk, encode_chunk
+from skewmi.robot_models import limits, yumi
 from skewmi.robot_models.kinematics import ArmKinematics
 
 Array = NDArray[np.float64]
-GRID_DT = 0.004
+
 STEPS = 5
+CYCLE_S = 0.02
+TICK_S = 0.004
+SHARE_BAR = 0.25
+"""Of cycle and tick that the work may take in 99.9 % of the cases."""
+RATIO_BAR = 1.3
 START = np.array(yumi.PRESS_START_CONFIGURATION)
 
 
-Times = dict[str, list[tuple[float, float]]]
-"""Wall and processor seconds per call, by name."""
+def watch_stages(planner: Planner, times: StageTimes) -> None:
+    """Time the planner's parts where they are called."""
+    for owner, method, stage in (
+        (planner._hand, "step", "cartesian"),
+        (planner._ik, "place", "inverse_kinematics"),
+        (planner._ik, "solve", "inverse_kinematics"),
+        (planner._joints, "velocity_bounds", "joint"),
+        (planner._joints, "step", "joint"),
+        (planner, "_breach", "position_guard"),
+    ):
+        times.watch(owner, method, stage)
 
 
-def percentiles(seconds: list[tuple[float, float]]) -> dict[str, float]:
-    """Wall time p50, p99, p99.9 and maximum, and processor time p50, in ms."""
-    wall, cpu = 1e3 * np.array(seconds).T
-    p50, p99, p999 = np.percentile(wall, [50, 99, 99.9])
+class Cycle:
+    """What the daemon does every 20 ms: plan, check, guard, encode.
+
+    Args:
+        times: Gets the four stages' times.
+        seed: Of the commands, one every fifth cycle, as a policy of 10 Hz gives them.
+    """
+
+    def __init__(self, times: StageTimes, seed: int) -> None:
+        self.workspace, self.bounds = press_workspace(START), limits.profile("lab")
+        self.planner = Planner(self.workspace, self.bounds)
+        self.planner.reset(START)
+        self._checker = ChunkChecker(self.bounds, self.workspace, ArmKinematics("right").forward)
+        self.guard = Guard(self.bounds, self.workspace)
+        self._times = times
+        self._names = yumi.joint_names("right")
+        self._rng = np.random.default_rng(seed)
+        self.count = self.continued = 0
+        self.state = START, np.zeros(7), np.zeros(7)
+        # As the daemon does: the first message of each length is laid out slowly.
+        for samples in range(2, 120):
+            self._encode(np.zeros((samples, 7)), np.zeros((samples, 7)), np.zeros((samples, 7)))
+
+    def run(self) -> tuple[PlannedChunk, tuple[Array, Array, Array], Seconds]:
+        """One cycle: its chunk, the state it started from, and how long it took."""
+        planner, times, state = self.planner, self._times, self.state
+        cpu, wall = time.thread_time(), time.perf_counter()
+        if self.count % STEPS == 0:
+            target = planner.command_position + self._rng.uniform(-0.015, 0.015, 3)
+            planner.set_target(np.clip(target, self.workspace.low, self.workspace.high), 0.1)
+        with times.of("plan"):
+            chunk = planner.step()
+        with times.of("check"):
+            self._checker.check(chunk.q, chunk.v, chunk.a, state)
+        with times.of("guard"):
+            self.guard.check(chunk.q, chunk.v, chunk.a)
+        with times.of("encode"):
+            self._encode(chunk.q, chunk.v, chunk.a)
+        took = time.perf_counter() - wall, time.thread_time() - cpu
+        self.count += 1
+        self.continued += chunk.continued is not None
+        self.state = chunk.state(STEPS)
+        return chunk, state, took
+
+    def _encode(self, q: Array, v: Array, a: Array) -> None:
+        grid_ns = np.arange(len(q), dtype=np.int64) * 4_000_000
+        stamp_ns = self.count * 20_000_000
+        encode_chunk(TrajectoryChunk(stamp_ns, self._names, grid_ns, q, v, a))
+
+
+def measure_cycles(cycles: int, seed: int) -> dict[str, Any]:
+    """Cycles in real time."""
+    times, whole = StageTimes(), []
+    cycle = Cycle(times, seed)
+    watch_stages(cycle.planner, times)
+    times.watch(cycle.guard, "_measure", "distances (in guard)")
+    with hot_loop(priority=True) as granted:
+        pace = Pace(CYCLE_S)
+        for _ in range(cycles):
+            pace.wait()
+            whole.append(cycle.run()[2])
+            pace.done()
+            times.end_round()
+    figures = percentiles(whole)
     return {
-        "p50_ms": round(float(p50), 4),
-        "p99_ms": round(float(p99), 4),
-        "p99_9_ms": round(float(p999), 4),
-        "max_ms": round(float(wall.max()), 4),
-        "cpu_p50_ms": round(float(np.median(cpu)), 4),
+        "cycle": figures,
+        "p99_9_share_of_cycle": round(figures["p99_9_ms"] / (1e3 * CYCLE_S), 4),
+        "stages": times.figures(),
+        "seconds": cycles * CYCLE_S,
+        **pace.figures(),
+        "continued": cycle.continued,
+        "granted": granted,
     }
 
 
-def timed(function: Callable[[], object], times: list[tuple[float, float]]) -> Any:
-    cpu, wall = time.thread_time(), time.perf_counter()
-    result = function()
-    times.append((time.perf_counter() - wall, time.thread_time() - cpu))
-    return result
-
-
-class Stages:
-    """Each stage of `Planner.step` alone, on the states that occur; one call is one cycle."""
-
-    def __init__(self, seed: int) -> None:
-        self._workspace, bounds = press_workspace(START), limits.profile("lab")
-        hand = Planner(self._workspace, bounds).hand_bounds
-        low, high = np.array(self._workspace.low), np.array(self._workspace.high)
-        self._box = low, high
-        self._shaper = CartesianShaper(
-            low,
-            high,
-            speed=hand.speed,
-            acceleration=hand.acceleration,
-            jerk=hand.jerk,
-            grid_dt=GRID_DT,
-        )
-        start = np.array(self._workspace.start)
-        self._reference = Reference(start, round(hand.lag_s / GRID_DT))
-        self._shaper.reseed(start, np.zeros(3))
-        self._ik = DifferentialIk(START, frames.HAND_DOWN, GRID_DT)
-        self._joints = JointShaper(bounds, GRID_DT)
-        self._kinematics = ArmKinematics("right")
-        self._rng = np.random.default_rng(seed)
-        self._chunk: PlannedChunk | None = None
-
-    def run(self, chunk: PlannedChunk, cycle: int, times: Times) -> None:
-        self._chunk = chunk
-        if cycle % STEPS == 0:
-            step = self._rng.uniform(-0.015, 0.015, 3)
-            self._reference.set_target(np.clip(self._reference.position_w + step, *self._box), 0.1)
-        self._joints.restore(*chunk.state(0))
-        for name, stage in (
-            ("cartesian", self._cartesian),
-            ("inverse_kinematics", self._solve),
-            ("joint", self._shape),
-            ("stop", self._stop),
-            ("position_guard", self._position_guard),
-        ):
-            timed(partial(stage, chunk), times[name])
-
-    def _cartesian(self, chunk: PlannedChunk) -> None:
-        for _ in range(STEPS):
-            self._reference.advance(GRID_DT)
-            self._shaper.step(self._reference, self._shaper.position_w, 0.01)
-
-    def _solve(self, chunk: PlannedChunk) -> None:
-        velocity = np.array([0.0, 0.05, 0.02])
-        for q in chunk.q[:STEPS]:
-            position = self._ik.place(q)
-            self._ik.solve(position, velocity, -self._joints.velocity, self._joints.velocity)
-
-    def _shape(self, chunk: PlannedChunk) -> None:
-        for v in chunk.v[1 : STEPS + 1]:
-            self._joints.step(v, *self._joints.velocity_bounds())
-
-    def _stop(self, chunk: PlannedChunk) -> None:
-        stop = self._joints.stop()
-        stop.sample(GRID_DT)
-        stop.extent()
-
-    def _position_guard(self, chunk: PlannedChunk) -> None:
-        position, _ = self._kinematics.forward(chunk.q)
-        low, high = self._box
-        float(np.maximum(low - position, position - high).max())
-
-
-def run_cycles(cycles: int, seed: int) -> tuple[Times, int]:
-    """Planner, checker and guard as the daemon runs them, and between them each stage alone.
-
-    Both take turns, so that whatever else the machine does meets both.
-
-    Returns:
-        Seconds per name, and how often the planner continued its previous stop.
-    """
-    workspace, bounds = press_workspace(START), limits.profile("lab")
-    planner = Planner(workspace, bounds)
-    planner.reset(START)
-    checker = ChunkChecker(bounds, workspace, ArmKinematics("right").forward)
-    guard = Guard(bounds, workspace)
-    rng = np.random.default_rng(seed)
-    stages = Stages(seed + 1)
-    times: Times = defaultdict(list)
-    continued, state = 0, (START, np.zeros(7), np.zeros(7))
-    for cycle in range(cycles):
-        # A new command every fifth cycle, as a policy of 10 Hz gives.
-        if cycle % STEPS == 0:
-            target = planner.command_position + rng.uniform(-0.015, 0.015, 3)
-            planner.set_target(np.clip(target, workspace.low, workspace.high), 0.1)
-        cpu, wall = time.thread_time(), time.perf_counter()
-        chunk: PlannedChunk = timed(planner.step, times["plan"])
-        timed(partial(checker.check, chunk.q, chunk.v, chunk.a, state), times["check"])
-        timed(partial(guard.check, chunk.q, chunk.v, chunk.a), times["guard"])
-        times["cycle"].append((time.perf_counter() - wall, time.thread_time() - cpu))
-        state = chunk.state(STEPS)
-        continued += chunk.continued is not None
-        stages.run(chunk, cycle, times)
-    return times, continued
-
-
-def path_quality(direction: tuple[float, ...], profile: str, speed: float) -> dict[str, Any]:
-    """A velocity step of the command, held for 70 mm or the box, then a sudden stop."""
-    workspace = press_workspace(START)
-    planner = Planner(workspace, limits.profile(profile))
-    planner.reset(START)
-    way = np.array(direction) / np.linalg.norm(direction)
-    start = np.array(workspace.start)
-    room = np.where(way > 0, workspace.high - start, start - np.array(workspace.low))
-    reach = min(0.15, float((room[way != 0] / np.abs(way[way != 0])).min()))
-    steps = max(1, int(reach / (0.1 * speed)))
-    q, command = [], []
-    for cycle in range(STEPS * steps + 75):
-        if cycle % STEPS == 0 and cycle < STEPS * steps:
-            planner.set_target(start + 0.1 * speed * (cycle // STEPS + 1) * way, 0.1)
-        begin = planner.command_position
-        chunk = planner.step()
-        q.append(chunk.q[:STEPS])
-        command.append(
-            begin + np.arange(STEPS)[:, None] / STEPS * (planner.command_position - begin)
-        )
-    position, rotation = planner.forward(np.vstack(q))
-    offset = position - start
-    along, commanded = offset @ way, (np.vstack(command) - start) @ way
-    lateral = np.linalg.norm(offset - along[:, None] * way, axis=1)
-    tilt = rotation_vector(np.swapaxes(rotation, -1, -2) @ frames.HAND_DOWN)
-    half = commanded.max() / 2
+def measure_ratio(cycles: int, seed: int) -> dict[str, Any]:
+    """Cycles and bare calls, taking turns without a pause: both meet the same machine."""
+    times, bare_times, whole = StageTimes(), StageTimes(), []
+    cycle = Cycle(times, seed)
+    bare = BareCalls(cycle.workspace, cycle.bounds)
+    with hot_loop(priority=False):
+        for _ in range(cycles):
+            chunk, state, took = cycle.run()
+            whole.append(took)
+            times.end_round()
+            bare.run(chunk, state, bare_times)
+            bare_times.end_round()
+    calls = bare_times.figures()
+    cycle_ms = percentiles(whole)["cpu_p50_ms"]
+    library_ms = sum(calls[name]["cpu_p50_ms"] for name in LIBRARIES)
+    own_ms = sum(calls[name]["cpu_p50_ms"] for name in OWN)
+    own_ms += times.figures()["encode"]["cpu_p50_ms"]
     return {
-        "profile": profile,
-        "direction": [round(float(x), 3) for x in way],
-        "speed_mm_s": 1e3 * speed,
-        "way_mm": round(1e3 * 0.1 * speed * steps, 1),
-        "lateral_mm": round(1e3 * float(lateral.max()), 3),
-        "lag_ms": float(4 * (np.argmax(along > half) - np.argmax(commanded > half))),
-        "overshoot_mm": round(1e3 * float(along.max() - commanded.max()), 3),
-        "final_error_mm": round(1e3 * float(np.linalg.norm(offset[-1] - commanded.max() * way)), 4),
-        "tilt_deg": round(float(np.degrees(np.linalg.norm(tilt, axis=1).max())), 4),
+        "ratio_to_sum": round(cycle_ms / (library_ms + own_ms), 3),
+        "ratio": {
+            "cycle_cpu_p50_ms": cycle_ms,
+            "libraries_ms": round(library_ms, 4),
+            "own_ms": round(own_ms, 4),
+            "to_libraries_alone": round(cycle_ms / library_ms, 3),
+            "cycles": cycles,
+            "bare_calls": calls,
+            "stages": times.figures(),
+        },
+    }
+
+
+def measure_paths() -> dict[str, Any]:
+    arm = UrdfArm()
+    steps, corners = planner_path.steps(arm), planner_path.corners(arm)
+    return {
+        "verdict": {
+            "steps": planner_path.verdict(steps),
+            "corners": planner_path.verdict(corners),
+        },
+        "steps": steps,
+        "corners": corners,
     }
 
 
 def main() -> int:
     parser = common.argument_parser(__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--cycles", type=int, default=3000, help="timed cycles of 20 ms")
+    parser.add_argument("--seconds", type=float, default=60.0, help="real time of each loop")
     options = parser.parse_args()
-    run_cycles(200, options.seed)
-    gc.collect()
-    gc.freeze()
-    gc.disable()
-    times, continued = run_cycles(options.cycles, options.seed)
-    figures = {name: percentiles(seconds) for name, seconds in times.items()}
-    cycle, plan = figures.pop("cycle"), figures.pop("plan")
-    parts = sum(stage["cpu_p50_ms"] for stage in figures.values())
-    document_figures = {
-        "cycle": cycle,
-        "plan": plan,
-        "stages": figures,
-        "ratio_to_sum": round(cycle["cpu_p50_ms"] / parts, 3),
-        "continued": continued,
-        "path": [
-            path_quality(direction, "lab", 0.15)
-            for direction in ((0, 1, 0), (0, 1, 0.4), (0, 0, 1), (0, 0.6, -0.4), (1, 0, 0))
-        ]
-        + [path_quality((0, 1, 0), "careful", 0.04)],
+    common.progress(f"cycles, {options.seconds:g} s")
+    measure_cycles(100, options.seed)
+    figures = measure_cycles(round(options.seconds / CYCLE_S), options.seed)
+    figures |= measure_ratio(2000, options.seed)
+    common.progress(f"endpoint ticks, {options.seconds:g} s")
+    cold = measure_endpoint(1.0, options.seed)
+    endpoint = measure_endpoint(options.seconds, options.seed)
+    endpoint["slowest_tick_after_a_cold_start_ms"] = cold["tick"]["max_ms"]
+    endpoint["p99_9_share_of_tick"] = round(endpoint["tick"]["p99_9_ms"] / (1e3 * TICK_S), 4)
+    common.progress("paths")
+    path = measure_paths()
+    verdicts = path["verdict"]
+    within = {
+        "cycle_p99_9": figures["p99_9_share_of_cycle"] <= SHARE_BAR,
+        "ratio_to_sum": figures["ratio_to_sum"] <= RATIO_BAR,
+        "tick_p99_9": endpoint["p99_9_share_of_tick"] <= SHARE_BAR,
+        **{
+            f"{kind}_{bar}": met
+            for kind, verdict in verdicts.items()
+            for bar, met in verdict["within"].items()
+        },
     }
     document = common.write_result(
         "planner",
-        document_figures,
+        {"within": within, **figures, "endpoint": endpoint, "path": path},
         options.out,
         seed=options.seed,
-        config={"cycles": options.cycles},
+        config={"seconds": options.seconds},
     )
     common.print_result(document, as_json=options.json)
     return 0

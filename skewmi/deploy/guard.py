@@ -136,7 +136,8 @@ class Guard:
         """
         if not all(np.isfinite(x).all() for x in (q, v, a)):
             raise LimitViolationError("finite numbers", float("nan"), 0.0)
-        few = np.unique(np.linspace(0, len(q) - 1, FEW_SAMPLES).round().astype(int))
+        last = len(q) - 1
+        few = sorted({round(k * last / (FEW_SAMPLES - 1)) for k in range(FEW_SAMPLES)})
         torque = max(self._check_torque(q[k], v[k], a[k]) for k in few)
         hand = [self._check_hand(q[k]) for k in few]
         value = min(self._check_mobility(q[k]) for k in {min(new_samples, len(q) - 1), len(q) - 1})

@@ -124,7 +124,7 @@ class ChunkChecker:
         self._forward = forward
         self._box: tuple[Array, Array] | None = None
         if workspace is not None:
-            base = np.array(workspace.base_position)
+            base = workspace.base_position
             self._box = np.array(workspace.low) - base, np.array(workspace.high) - base
         self._tolerance = workspace_tolerance
 
@@ -229,9 +229,9 @@ class ChunkChecker:
         middle = (limits.position_upper + limits.position_lower) / 2.0
         half = (limits.position_upper - limits.position_lower) / 2.0
         excursion = np.abs(q - middle).max(axis=0) + bulge
-        worst = int(np.argmax(excursion - half))
+        worst = np.argmax(excursion - half)
         if excursion[worst] > half[worst]:
-            k = int(np.argmax(np.abs(q[:, worst] - middle[worst])))
+            k = np.argmax(np.abs(q[:, worst] - middle[worst]))
             above = q[k, worst] > middle[worst]
             bound = (limits.position_upper if above else limits.position_lower)[worst]
             raise LimitViolationError(
@@ -278,7 +278,7 @@ class ChunkChecker:
             outside = np.maximum(low - position, position - high)
             worst = float(outside.max())
             if worst > self._tolerance:
-                axis = f"axis {'xyz'[int(np.argmax(outside.max(axis=0)))]}"
+                axis = f"axis {'xyz'[np.argmax(outside.max(axis=0))]}"
                 limit = "distance outside the workspace, m"
                 raise LimitViolationError(limit, worst, self._tolerance, axis)
             offset = np.abs(position - (low + high) / 2.0) / ((high - low) / 2.0)
@@ -296,6 +296,6 @@ def _require(limit: str, value: Array, bound: Array, rounding: float = ROUNDING)
     """Raise for the joint with the largest excess, if any."""
     excess = value - bound * (1.0 + rounding)
     if (excess > 0.0).any():
-        worst = int(np.argmax(value / bound))
+        worst = np.argmax(value / bound)
         joint = f"joint index {worst}"
         raise LimitViolationError(limit, float(value[worst]), float(bound[worst]), joint)

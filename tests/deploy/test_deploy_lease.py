@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import product
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from skewmi.deploy.endpoint.lease import CommanderLease
@@ -145,6 +145,7 @@ def test_closing_forgets_both_commanders(how: str) -> None:
     lease.check_gripper(GIDS[2], 1)
 
 
+@settings(deadline=None)
 @given(
     st.lists(
         st.tuples(st.sampled_from(GIDS), st.integers(0, 6), st.integers(1, TIMEOUT + 20)),

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import FrozenInstanceError, replace
 
 import numpy as np
@@ -166,6 +167,21 @@ def test_a_false_number_breaks_the_first_limit_that_it_exceeds(shape: str) -> No
             assert verdict(CHECKER, *chunk) == ("joint position" if beyond else expected), size
 
 
+def test_the_joint_named_is_the_furthest_over_its_own_bound() -> None:
+    """Not the fastest, nor the one with the most rad/s in excess."""
+    v = np.zeros((7, 7))
+    v[3, 0], v[3, 6] = 1.3 * LAB.velocity[0], -1.2 * LAB.velocity[6]
+    assert 0.3 * LAB.velocity[0] < 0.2 * LAB.velocity[6]
+    error = refusal(CHECKER, still(7)[0], v, 0 * v)
+    assert (error.limit, error.value, error.bound) == (
+        "joint velocity",
+        v[3, 0],
+        LAB.velocity[0],
+    )
+    assert str(error).endswith("(joint index 0)")
+    assert type(error.value) is type(error.bound) is float
+
+
 @pytest.mark.parametrize(("excess", "limit"), [(0.9e-6, "joint jerk"), (1.1e-6, "joint acceler")])
 def test_a_millionth_over_a_bound_is_rounding(excess: float, limit: str) -> None:
     q, v, a = still(7)
@@ -252,6 +268,39 @@ def test_the_joint_and_sample_furthest_out_are_named() -> None:
         assert f"joint index {joint}" in str(error)
 
 
+def test_the_position_bound_itself_is_allowed() -> None:
+    """With numbers that a double holds exactly: A h^2 / 8 is 2^-15."""
+    bounds = replace(
+        LAB,
+        position_lower=np.full(7, -1.0),
+        position_upper=np.full(7, 1.0),
+        acceleration=np.full(7, 16.0),
+    )
+    checker = ChunkChecker(bounds, grid_dt=2.0**-8)
+    for joint, sign in SIGNED_JOINTS:
+        q, v, a = still(2, np.zeros(7))
+        q[:, joint] = sign * (1.0 - 2.0**-15)
+        assert checker.check(q, v, a).position == 1.0
+        q[1, joint] += sign * 2.0**-40
+        error = refusal(checker, q, v, a)
+        assert error.bound == sign
+        assert type(error.value) is type(error.bound) is float
+
+
+def test_motions_in_progress_have_three_parts() -> None:
+    chunk = still(4)
+    short = (chunk[0][0], chunk[1][0])
+    for option in ("previous", "before"):
+        with pytest.raises(ValueError, match=r"zip\(\) argument"):
+            CHECKER.check(*chunk, **{option: short})  # type: ignore[arg-type]
+
+
+def test_usage_is_plain_numbers() -> None:
+    """Of which reports and recordings are made."""
+    usage = CHECKER.check(*still(4)).as_dict()
+    assert {type(value) for value in usage.values()} == {float}
+
+
 # Form --------------------------------------------------------------------------------------------
 
 
@@ -299,14 +348,14 @@ def test_numbers_that_are_not_finite_are_named(which: int) -> None:
     [
         ([NAMES[1], NAMES[0], *NAMES[2:]], 5),
         (list(NAMES[:6]), 6),
-        ([*NAMES, *"abcde"], 7),
+        ((*NAMES, *"abcde"), 7),
         ([], 0),
     ],
 )
-def test_names_in_place_are_counted_and_ten_shown(names: list[str], in_place: int) -> None:
+def test_names_in_place_are_counted_and_ten_shown(names: Sequence[str], in_place: int) -> None:
     error = refusal(CHECKER, *still(4), joint_names=names)
     assert (error.limit, error.value, error.bound) == ("joint names in place", in_place, 7)
-    assert f"got {names[:10]}, expected {list(NAMES)}" in str(error)
+    assert f"got {list(names[:10])}, expected {list(NAMES)}" in str(error)
 
 
 def test_names_may_be_given_as_a_list() -> None:
@@ -322,7 +371,7 @@ def test_times_off_the_grid_say_how_far(off: int, row: int) -> None:
     times = np.arange(4, dtype=np.int64) * 4_000_000
     times[row] += off
     error = refusal(CHECKER, *still(4), time_from_start_ns=times)
-    assert (error.value, error.bound) == (abs(off), 0)
+    assert (error.value, error.bound, type(error.value)) == (abs(off), 0, int)
     assert "grid step 4000000 ns" in str(error)
 
 
@@ -333,7 +382,7 @@ def test_as_many_times_as_samples(shape: tuple[int, ...]) -> None:
 
 
 def test_any_grid_of_whole_nanoseconds() -> None:
-    for tenths_ms in range(1, 200):
+    for tenths_ms in (*range(1, 200), 9000):
         step_ns = tenths_ms * 100_000
         checker = ChunkChecker(LAB, grid_dt=step_ns / 1e9)
         checker.check(*still(3), time_from_start_ns=np.arange(3) * step_ns)

@@ -31,7 +31,9 @@ def box() -> Workspace:
         start=tuple(BASE),
         base_position=BASE,
         hand_quaternion_wxyz=(1.0, 0.0, 0.0, 0.0),
-        max_lead=0.03,
+        free_lead=1.0,
+        held_lead=0.2,
+        stop_lead=0.45,
         start_configuration=tuple(MIDDLE.tolist()),
         gripper_opening=0.01,
     )
@@ -69,6 +71,7 @@ def test_reduced_speed_in_every_direction_and_at_every_step() -> None:
             error = refusal(path)
             assert (error.limit, error.bound) == ("tool speed, m/s", 0.25)
             assert error.value == pytest.approx(0.25 * factor, rel=1e-12)
+            assert type(error.value) is float
 
 
 @pytest.mark.parametrize("axis", AXES)
@@ -92,10 +95,12 @@ def test_every_side_of_the_box_at_every_sample() -> None:
             assert usage.workspace == pytest.approx((half + beyond) / half, rel=1e-12)
             assert usage.tcp_speed > 0.0
             assert usage.position > 0.0
+            assert {type(value) for value in usage.as_dict().values()} == {float}
         else:
             error = refusal(path, box(), tcp_speed=1e4)
             assert (error.limit, error.bound) == ("distance outside the workspace, m", 0.005)
             assert error.value == pytest.approx(beyond, rel=1e-9)
+            assert type(error.value) is float
             assert str(error).endswith(f"(axis {'xyz'[axis]})")
 
 

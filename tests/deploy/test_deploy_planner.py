@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import importlib.util
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -27,23 +25,15 @@ BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 START = np.array(yumi.PRESS_START_CONFIGURATION)
 KINEMATICS = ArmKinematics("right")
 
+sys.path.insert(0, str(BENCHMARKS))
 
-def load_fuzz() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("planner_fuzz", BENCHMARKS / "planner_fuzz.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["planner_fuzz"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-FUZZ = load_fuzz()
+import planner_fuzz  # noqa: E402
+import planner_scenes  # noqa: E402
 
 
 @pytest.fixture(scope="module")
 def workspace() -> Workspace:
-    box: Workspace = FUZZ.press_workspace(START)
+    box: Workspace = planner_scenes.press_workspace(START)
     return box
 
 
@@ -99,16 +89,18 @@ def follow(
 
 @pytest.mark.parametrize("first_seed", [1000, 2000, 3000])
 def test_adversaries_find_no_breach(first_seed: int) -> None:
-    totals = FUZZ.fuzz(cycles=500, seed=first_seed, press_start=START, seconds=12.0)
+    totals = planner_fuzz.fuzz(cycles=600, seed=first_seed, seconds=12.0)
+    assert totals.breaches == []
     assert totals.rounds >= 1
-    assert max(totals.usage.values()) <= 1.0
-    assert totals.usage["executed jerk"] > 0.5, "the adversaries must push"
+    for usage in totals.usage.values():
+        assert max(usage.values()) <= 1.0
+        assert usage["executed jerk"] > 0.5, "the adversaries must push"
 
 
 @settings(max_examples=8, deadline=None, derandomize=True)
 @given(actions=st.lists(st.tuples(*[st.floats(-1.0, 1.0)] * 3), min_size=1, max_size=12))
 def test_any_policy_keeps_the_limits(actions: list[tuple[float, float, float]]) -> None:
-    box = FUZZ.press_workspace(START)
+    box = planner_scenes.press_workspace(START)
     planner = Planner(box, limits.profile("lab"))
     planner.reset(START)
     checker = ChunkChecker(planner.limits, box, KINEMATICS.forward)
@@ -242,7 +234,7 @@ def test_stops_at_every_face(workspace: Workspace, profile: str, axis: int, side
     target[axis] = (workspace.low if side == "low" else workspace.high)[axis]
     beyond = target.copy()
     beyond[axis] += -1.0 if side == "low" else 1.0
-    patience = 100 if profile == "lab" else (120 if axis == 0 else 360)
+    patience = 150 if profile == "lab" else (120 if axis == 0 else 360)
     run = follow(planner, [beyond], settle_cycles=patience)
     outside = np.maximum(np.array(workspace.low) - run.hand_w, run.hand_w - workspace.high)
     assert outside.max() < 1.5e-3
@@ -295,7 +287,7 @@ def test_shaped_command_never_leaves_the_box(seed: int) -> None:
     shaper = CartesianShaper(
         -half, half, speed=0.5, acceleration=acceleration, jerk=jerk, grid_dt=0.004
     )
-    reference = Reference(shaper.position_w, 10)
+    reference = Reference(shaper.position_w)
     before = shaper.velocity_w, shaper.acceleration_w
     for k in range(150):
         if k % 10 == 0:

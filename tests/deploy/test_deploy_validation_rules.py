@@ -142,6 +142,17 @@ def test_how_far_ahead_counts_in_nanoseconds() -> None:
                     check_time(chunk, rules, NOW)
 
 
+def test_half_a_second_ahead_to_the_nanosecond() -> None:
+    rules = ValidationRules(NAMES, grid_ns=1)
+    for ahead in range(499_999_998, 500_000_003):
+        chunk = chunk_of(stamp_ns=NOW + ahead)
+        if ahead <= 500_000_000:
+            assert check_time(chunk, rules, NOW) == NOW + ahead
+        else:
+            with pytest.raises(CommandRefusedError, match="ahead"):
+                check_time(chunk, rules, NOW)
+
+
 def test_commands_without_a_place_in_the_plan_are_at_most_two_seconds_old() -> None:
     second = 1_000_000_000
     for clock_ns, sign in itertools.product((0, 10**18), (1, -1)):
@@ -178,6 +189,12 @@ def test_splice_tolerances(field: str, what: str, unit: str, tolerance: float) -
             f"splice: {what} of {NAMES[joint]} steps by {factor * tolerance:.3g} {unit} "
             f"from the endpoint's plan (tolerance {tolerance:g})"
         )
+
+
+def test_a_plan_without_accelerations_is_no_plan() -> None:
+    start = chunk_of()
+    with pytest.raises(ValueError, match="shorter"):
+        check_splice(start, (start.q[0], start.v[0]), RULES)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("field", FIELDS)

@@ -98,7 +98,7 @@ def check_structure(chunk: TrajectoryChunk, rules: ValidationRules) -> None:
             f"joints must be {', '.join(rules.joint_names)} in this order; "
             f"got {', '.join(chunk.joint_names) or 'none'}"
         )
-    times = np.asarray(chunk.time_from_start_ns)
+    times = chunk.time_from_start_ns
     if not 2 <= len(times) <= rules.max_points:
         raise CommandRefusedError(
             f"a chunk has 2 to {rules.max_points} points; this has {len(times)}"
@@ -118,7 +118,7 @@ def check_structure(chunk: TrajectoryChunk, rules: ValidationRules) -> None:
             raise CommandRefusedError(f"{name} hold values that are not finite")
     if not np.array_equal(times, np.arange(len(times)) * rules.grid_ns):
         raise CommandRefusedError(
-            f"points must lie at 0, 1, 2, ... times {rules.grid_ns / 1e6:g} ms from the stamp"
+            f"points must lie at 0, 1, 2, ... times {rules.grid_ns * 1e-6:g} ms from the stamp"
         )
 
 
@@ -134,13 +134,13 @@ def check_time(chunk: TrajectoryChunk, rules: ValidationRules, now: int) -> int:
             f"stamp {chunk.stamp_ns} ns is not a multiple of the grid of {rules.grid_ns} ns"
         )
     if tick < now:
-        late_ms = (now - tick) * rules.grid_ns / 1e6
+        late_ms = (now - tick) * rules.grid_ns * 1e-6
         raise BrokenStreamError(f"stamp is {late_ms:g} ms in the past of the endpoint's clock")
     ahead_ns = (tick - now) * rules.grid_ns
     if ahead_ns > rules.max_ahead_ns:
         raise CommandRefusedError(
-            f"stamp is {ahead_ns / 1e6:g} ms ahead of the endpoint's clock; "
-            f"at most {rules.max_ahead_ns / 1e6:g} ms are allowed"
+            f"stamp is {ahead_ns * 1e-6:g} ms ahead of the endpoint's clock; "
+            f"at most {rules.max_ahead_ns * 1e-6:g} ms are allowed"
         )
     return tick
 
@@ -158,8 +158,8 @@ def check_fresh(stamp_ns: int, clock_ns: int) -> None:
     age_ns = clock_ns - stamp_ns
     if abs(age_ns) > MAX_COMMAND_AGE_NS:
         raise CommandRefusedError(
-            f"the command is {age_ns / 1e9:.6g} s old by the endpoint's clock; "
-            f"at most {MAX_COMMAND_AGE_NS / 1e9:g} s are allowed"
+            f"the command is {age_ns * 1e-9:.6g} s old by the endpoint's clock; "
+            f"at most {MAX_COMMAND_AGE_NS * 1e-9:g} s are allowed"
         )
 
 
@@ -178,7 +178,7 @@ def check_splice(chunk: TrajectoryChunk, present: PlanPoint, rules: ValidationRu
         strict=True,
     ):
         step = np.abs(start - expected)
-        joint = int(step.argmax())
+        joint = step.argmax()
         if step[joint] > tolerance:
             raise BrokenStreamError(
                 f"splice: {what} of {rules.joint_names[joint]} steps by {step[joint]:.3g} {unit} "

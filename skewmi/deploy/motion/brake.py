@@ -17,6 +17,7 @@ All arrays have shape (m,) for m axes (joints in rad, or world axes in m), unles
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -121,8 +122,8 @@ def plan_stop(q: Array, v: Array, a: Array, acceleration: Array, jerk: Array) ->
     return Stop(start, qs, vs, accs, jerks)
 
 
-def approach_speed(distance: Array, acceleration: Array, jerk: Array) -> Array:
-    """Speed towards a bound from which a stop within `distance` is always possible.
+class ApproachSpeed:
+    """Speed towards a bound from which a stop within a distance d is always possible.
 
     0.9 (-c + sqrt(c^2 + 2 A d)) with c = A^2 / 2J, zero for d <= 0. From velocity v and no
     acceleration a stop takes the distance v (v / A + A / J) / 2 (or less, where A is never
@@ -130,11 +131,57 @@ def approach_speed(distance: Array, acceleration: Array, jerk: Array) -> Array:
     present.
 
     Args:
-        distance: Remaining distance to the bound less the margin. Shape (m,).
-        acceleration: Bound, positive. Shape (m,).
-        jerk: Bound, positive. Shape (m,).
+        acceleration: Bound A, positive. Shape (m,).
+        jerk: Bound J, positive. Shape (m,).
     """
+
+    def __init__(self, acceleration: Array, jerk: Array) -> None:
+        self._twice = 2.0 * acceleration
+        self._c = acceleration * acceleration / (2.0 * jerk)
+        self._square = self._c * self._c
+
+    def __call__(self, distance: Array) -> Array:
+        """For remaining distances to the bound less the margin. Shape (..., m)."""
+        speed: Array = np.maximum(distance, 0.0)
+        speed *= self._twice
+        speed += self._square
+        np.sqrt(speed, out=speed)
+        speed -= self._c
+        speed *= 0.9
+        return speed
+
+
+def approach_speed_of(distance: float, acceleration: float, jerk: float) -> float:
+    """`ApproachSpeed` of one axis, in plain numbers."""
+    if distance <= 0.0:
+        return 0.0
     c = acceleration * acceleration / (2.0 * jerk)
-    d = np.maximum(distance, 0.0)
-    speed: Array = 0.9 * (np.sqrt(c * c + 2.0 * acceleration * d) - c)
-    return speed
+    return 0.9 * (math.sqrt(c * c + 2.0 * acceleration * distance) - c)
+
+
+def stop_extent_of(
+    q: float, v: float, a: float, acceleration: float, jerk: float
+) -> tuple[float, float]:
+    """`plan_stop(...).extent()` of one axis, in plain numbers: lowest and highest position."""
+    # Mirrored so that the braking acceleration is positive: v <= 0 or so.
+    sign = -1.0 if v + a * abs(a) / (2.0 * jerk) > 0.0 else 1.0
+    v, a = sign * v, sign * a
+    unbounded = math.sqrt(max(0.5 * a * a - jerk * v, 0.0))
+    peak = max(min(acceleration, unbounded), a)
+    rise, fall = (peak - a) / jerk, max(peak, 0.0) / jerk
+    plateau = 0.0
+    if unbounded > acceleration:
+        plateau = max((-v - (2.0 * peak * peak - a * a) / (2.0 * jerk)) / peak, 0.0)
+    # Relative to q: where the velocity changes its sign while the acceleration rises, if it does.
+    turn = 0.0
+    discriminant = a * a - 2.0 * jerk * v
+    if a < 0.0 and v > 0.0 and discriminant > 0.0:
+        turn = min((-a - math.sqrt(discriminant)) / jerk, rise)
+    turned = turn * (v + turn * (a / 2.0 + turn * (jerk / 6.0)))
+    end = rise * (v + rise * (a / 2.0 + rise * (jerk / 6.0)))
+    v += rise * (a + rise * (jerk / 2.0))
+    end += plateau * (v + plateau * (peak / 2.0))
+    v += plateau * peak
+    end += fall * (v + fall * (peak / 2.0 - fall * (jerk / 6.0)))
+    first, second = q + sign * turned, q + sign * end
+    return min(q, first, second), max(q, first, second)

@@ -2,34 +2,57 @@
 
 The policy commands a position at the end of each control step. Between two commands the
 *reference* r moves there on a straight line at constant speed, as the command does in training.
-The *shaped* position x follows it with bounded acceleration and jerk: each grid step, the velocity
+The *shaped* position x follows it with bounded acceleration and jerk: each grid step, ruckig's
+velocity interface moves x's velocity towards
 
-    u = r'(t) + k (r(t - T) - x(t))
+    u = f + k (r - f T(f) - p)
 
-is cut to the speed limit and, towards each face of the box, to the speed from which a stop before
-the face is possible; ruckig's velocity interface then moves x's velocity towards u. T is the time
-by which such a motion lags behind a step of u. Comparing x with the delayed reference means that
-the feedback does not try to catch up a lag that cannot be avoided, which would overshoot every
-stop by the braking distance; yet x cannot drift from r and settles on it when the policy stops.
+f is the reference's velocity and p the position that x would have now if it had moved with f all
+the time and ended where a transition to f, begun now, ends: p = x_end - f t_end, by ruckig. T(f)
+is the lag of a transition from rest to f behind a step of f. So the feedback sees no error while x
+is on its way to what is commanded: it neither tries to catch up a lag that cannot be avoided, which
+would overshoot every stop by the braking distance, nor lets x drift from r.
 
-A step after which the fastest stop would leave the box is replaced by that stop's first step, so
-that by induction x never leaves the box.
+At a turn both velocities change at the same time, and x would cut the corner. So there r waits
+(f = 0) for a moment, and goes after the command along its path afterwards (`followed_path`): the
+old velocity is taken back before the new one is built up. How long it waits follows from how far
+the corner may be cut, `CORNER_CUT`.
 
-Vectors are in the task's world frame, m and s, shape (3,).
+For the same reason the feedback's velocity, k times the error, is never more than can be stopped
+within the error.
+
+The velocity u is cut to the speed limit and, towards each face of the box, to the speed from which
+a stop before the face is possible. A step after which the fastest stop would leave the box is
+replaced by that stop's first step, so that by induction x never leaves the box.
+
+Vectors are in the task's world frame, m and s, shape (3,). Inside they are lists: three numbers at
+a time are faster without numpy.
 """
 
 from __future__ import annotations
 
-from collections import deque
+import math
 
 import numpy as np
 import ruckig
 
-from skewmi.deploy.motion.brake import Array, approach_speed, plan_stop
+from skewmi.deploy.motion.brake import Array, approach_speed_of, plan_stop, stop_extent_of
+from skewmi.deploy.motion.followed_path import FollowedPath, Vector
 
 FEEDBACK_GAIN = 5.0
-"""k, 1/s. The shaper answers after about 50 ms; k times that is 0.25 rad of phase: no overshoot
-that matters."""
+"""Largest k, 1/s."""
+
+FEEDBACK_PHASE = 0.5
+"""Largest k times A / J, the time in which an acceleration is built up, rad: limits that change
+velocity slowly get a smaller gain, as x would swing around r otherwise."""
+
+CORNER_CUT = 0.4e-3
+"""How far a corner is to be cut, m, where the arm follows x exactly. It does so within some tenths
+of a millimetre."""
+
+MAX_BEHIND = 0.06
+"""How far r may be behind the command because of corners, s. More would be a robot that answers
+too late; then corners are cut."""
 
 
 class Reference:
@@ -37,36 +60,33 @@ class Reference:
 
     Args:
         position_w: Where it rests at first. Shape (3,).
-        delay_steps: T in calls of `advance`.
     """
 
-    def __init__(self, position_w: Array, delay_steps: int) -> None:
+    def __init__(self, position_w: Array) -> None:
         self.position_w = np.array(position_w, dtype=np.float64)
         self.velocity_w = np.zeros(3)
         self.target_w = self.position_w.copy()
         self._remaining_s = 0.0
-        self._past = deque([self.position_w] * (delay_steps + 1), maxlen=delay_steps + 1)
-
-    @property
-    def delayed_w(self) -> Array:
-        """r(t - T)."""
-        return self._past[0]
+        self._arrived = True
 
     def set_target(self, target_w: Array, duration_s: float) -> None:
         """Move to `target_w` at constant velocity within `duration_s`, from wherever it is."""
         self.target_w = np.array(target_w, dtype=np.float64)
         self.velocity_w = (self.target_w - self.position_w) / duration_s
         self._remaining_s = duration_s
+        self._arrived = False
 
     def advance(self, dt: float) -> None:
+        if self._arrived:
+            return
         self._remaining_s -= dt
         if self._remaining_s > 1e-9:
             self.position_w = self.target_w - self.velocity_w * self._remaining_s
-        else:
-            self.position_w = self.target_w.copy()
+            return
+        self.position_w = self.target_w.copy()
         if self._remaining_s < -1e-9:
             self.velocity_w = np.zeros(3)
-        self._past.append(self.position_w)
+            self._arrived = True
 
 
 class CartesianShaper:
@@ -91,28 +111,62 @@ class CartesianShaper:
         jerk: float,
         grid_dt: float,
     ) -> None:
-        self.low = np.array(low, dtype=np.float64)
-        self.high = np.array(high, dtype=np.float64)
+        self._low: list[float] = np.asarray(low, dtype=np.float64).tolist()
+        self._high: list[float] = np.asarray(high, dtype=np.float64).tolist()
         self._speed = speed
-        self._acceleration = np.full(3, acceleration)
-        self._jerk = np.full(3, jerk)
+        self._acceleration = acceleration
+        self._jerk = jerk
         self._grid_dt = grid_dt
+        self._gain = min(FEEDBACK_GAIN, FEEDBACK_PHASE * jerk / acceleration)
         self._otg = ruckig.Ruckig(3)
         self._trajectory = ruckig.Trajectory(3)
         self._input = ruckig.InputParameter(3)
         self._input.control_interface = ruckig.ControlInterface.Velocity
         self._input.synchronization = ruckig.Synchronization.Phase
-        self._input.max_acceleration = self._acceleration.tolist()
-        self._input.max_jerk = self._jerk.tolist()
-        self.position_w = (self.low + self.high) / 2.0
-        self.velocity_w = np.zeros(3)
-        self.acceleration_w = np.zeros(3)
+        self._input.max_acceleration = [acceleration] * 3
+        self._input.max_jerk = [jerk] * 3
+        self._x = [(a + b) / 2.0 for a, b in zip(self._low, self._high, strict=True)]
+        self._v, self._a = [0.0] * 3, [0.0] * 3
+        self._path = FollowedPath(round(MAX_BEHIND / grid_dt))
+
+    @property
+    def position_w(self) -> Array:
+        return np.array(self._x)
+
+    @property
+    def velocity_w(self) -> Array:
+        return np.array(self._v)
+
+    @property
+    def acceleration_w(self) -> Array:
+        return np.array(self._a)
 
     def reseed(self, position_w: Array, velocity_w: Array) -> None:
         """Continue from another state (of the hand), moved to where a stop in the box exists."""
-        self.position_w = np.clip(position_w, self.low, self.high)
-        self.velocity_w = self._clip_to_box(self._clip_speed(velocity_w))
-        self.acceleration_w = np.zeros(3)
+        self._x = np.clip(position_w, self._low, self._high).tolist()
+        self._v = self._clip_to_box(self._clip_speed(velocity_w.tolist()))
+        self._a = [0.0] * 3
+        self._path.clear()
+
+    def wait_steps(self, velocity_w: Vector) -> int:
+        """How many grid steps to wait before turning into another velocity.
+
+        With V the part of the new velocity that is normal to the present one, and t the time of a
+        transition between both, the corner is cut by V t / 8 if both change together, and by
+        about V t (1 - w/t)^2 / 8 if the new one waits for w.
+        """
+        old, new = self._v, self._clip_speed(list(velocity_w))
+        square = old[0] * old[0] + old[1] * old[1] + old[2] * old[2]
+        if square < 1e-8:
+            return 0
+        along = (old[0] * new[0] + old[1] * new[1] + old[2] * new[2]) / square
+        normal = math.hypot(*(n - along * o for n, o in zip(new, old, strict=True)))
+        change = max(abs(n - o) for n, o in zip(new, old, strict=True))
+        time = 2.0 * self._lag(change)
+        whole_cut = normal * time / 8.0
+        if whole_cut <= CORNER_CUT:
+            return 0
+        return round(time * (1.0 - math.sqrt(CORNER_CUT / whole_cut)) / self._grid_dt)
 
     def step(self, reference: Reference, hand_position_w: Array, leash: float) -> None:
         """Advance by one grid step towards the reference.
@@ -123,54 +177,87 @@ class CartesianShaper:
             leash: From this distance between x and the hand on, x moves no further away: an arm
                 that cannot follow (joint limit, singularity) must not be left behind.
         """
-        wanted = reference.velocity_w + FEEDBACK_GAIN * (reference.delayed_w - self.position_w)
-        ahead = self.position_w - hand_position_w
-        distance = float(np.sqrt(ahead @ ahead))
-        if distance > 0.5 * leash:
-            direction = ahead / distance
-            outward = max(0.0, float(wanted @ direction))
-            share = min(1.0, 2.0 * distance / leash - 1.0)
-            wanted = wanted - share * outward * direction
-        wanted = self._clip_to_box(self._clip_speed(wanted))
-        self._input.current_position = self.position_w.tolist()
-        self._input.current_velocity = self.velocity_w.tolist()
-        self._input.current_acceleration = self.acceleration_w.tolist()
-        self._input.target_velocity = wanted.tolist()
-        self._otg.calculate(self._input, self._trajectory)
-        state = np.array(self._trajectory.at_time(self._grid_dt))
-        if self._may_leave(state):
-            self._stay_inside(state)
-        self.position_w, self.velocity_w, self.acceleration_w = state
+        at, follow = self._path.advance(
+            reference.position_w.tolist(), reference.velocity_w.tolist(), self.wait_steps
+        )
+        follow = self._clip_speed(list(follow))
+        lag = self._lag(max(map(abs, follow)))
+        x_end, t_end = self._transition(follow)
+        error = [r - f * lag - (x - f * t_end) for r, f, x in zip(at, follow, x_end, strict=True)]
+        distance = math.hypot(*error)
+        # Nothing to divide by when there is no error.
+        stoppable = approach_speed_of(distance, self._acceleration, self._jerk)
+        k = min(self._gain, stoppable / max(distance, 1e-12))
+        wanted = [f + k * e for f, e in zip(follow, error, strict=True)]
+        wanted = self._keep_near(wanted, hand_position_w.tolist(), leash)
+        self._transition(self._clip_to_box(self._clip_speed(wanted)))
+        x, v, a = self._trajectory.at_time(self._grid_dt)
+        for i in range(3):
+            low, high = stop_extent_of(x[i], v[i], a[i], self._acceleration, self._jerk)
+            if low < self._low[i] or high > self._high[i]:
+                x[i], v[i], a[i] = self._stop_step(i)
+        self._x, self._v, self._a = x, v, a
 
-    def _may_leave(self, state: Array) -> bool:
-        """Whether a stop could need more room than there is, cheaply and on the safe side.
+    def _transition(self, velocity_w: list[float]) -> tuple[list[float], float]:
+        """Plan the change to a velocity; where and when it ends, from now."""
+        plan = self._input
+        plan.current_position = self._x
+        plan.current_velocity = self._v
+        plan.current_acceleration = self._a
+        plan.target_velocity = velocity_w
+        self._otg.calculate(plan, self._trajectory)
+        duration = self._trajectory.duration
+        return self._trajectory.at_time(duration)[0], duration
 
-        The present acceleration a, fading, covers at most |v a| / J + |a|^3 / 3 J^2 and adds
-        a^2 / 2J to the velocity; the stop from there takes what `approach_speed` says.
-        """
-        x, v, a = state[0], np.abs(state[1]), np.abs(state[2])
-        A, J = self._acceleration, self._jerk
-        peak = v + a * a / (2.0 * J)
-        room = v * a / J + a * a * a / (3.0 * J * J) + 0.5 * peak * (peak / A + A / J)
-        return bool((np.minimum(x - self.low, self.high - x) <= room).any())
+    def _lag(self, change: float) -> float:
+        """Half of the time that a change of velocity along an axis takes, s."""
+        ramp = self._acceleration / self._jerk
+        if change > self._acceleration * ramp:
+            return 0.5 * (change / self._acceleration + ramp)
+        return math.sqrt(change / self._jerk)
 
-    def _stay_inside(self, state: Array) -> None:
-        """Replace the axes of a new state whose fastest stop leaves the box by a stop's step."""
-        x, v, a = state
-        low, high = plan_stop(x, v, a, self._acceleration, self._jerk).extent()
-        leaves = (low < self.low) | (high > self.high)
-        if leaves.any():
-            x, v, a = self.position_w, self.velocity_w, self.acceleration_w
-            stop = plan_stop(x, v, a, self._acceleration, self._jerk).sample(self._grid_dt)
-            state[:, leaves] = np.stack([samples[0] for samples in stop])[:, leaves]
-            # The stop itself stays inside up to rounding.
-            state[0] = np.clip(state[0], self.low, self.high)
+    def _keep_near(self, velocity_w: list[float], hand_w: Vector, leash: float) -> list[float]:
+        """Take away what would lead x further away from the hand than the leash."""
+        ahead = [x - h for x, h in zip(self._x, hand_w, strict=True)]
+        distance = math.hypot(*ahead)
+        if distance <= 0.5 * leash:
+            return velocity_w
+        outward = sum(v * d for v, d in zip(velocity_w, ahead, strict=True)) / distance
+        cut = min(1.0, 2.0 * distance / leash - 1.0) * max(0.0, outward) / distance
+        return [v - cut * d for v, d in zip(velocity_w, ahead, strict=True)]
 
-    def _clip_speed(self, velocity_w: Array) -> Array:
-        speed = float(np.sqrt(velocity_w @ velocity_w))
-        return velocity_w if speed <= self._speed else velocity_w * (self._speed / speed)
+    def _stop_step(self, axis: int) -> tuple[float, float, float]:
+        """The first step of the fastest stop of one axis. It stays inside up to rounding."""
+        x, v, a, acceleration, jerk = (
+            np.array([number])
+            for number in (
+                self._x[axis],
+                self._v[axis],
+                self._a[axis],
+                self._acceleration,
+                self._jerk,
+            )
+        )
+        stop = plan_stop(x, v, a, acceleration, jerk)
+        position, velocity, fade = (float(part[0, 0]) for part in stop.sample(self._grid_dt))
+        return min(max(position, self._low[axis]), self._high[axis]), velocity, fade
 
-    def _clip_to_box(self, velocity_w: Array) -> Array:
-        ahead = approach_speed(self.high - self.position_w, self._acceleration, self._jerk)
-        behind = approach_speed(self.position_w - self.low, self._acceleration, self._jerk)
-        return np.clip(velocity_w, -behind, ahead)
+    def _clip_speed(self, velocity_w: list[float]) -> list[float]:
+        speed = math.hypot(*velocity_w)
+        if speed <= self._speed:
+            return velocity_w
+        # Scaled first: the norm of a huge velocity is infinite.
+        largest = max(map(abs, velocity_w))
+        unit = [v / largest for v in velocity_w]
+        scale = self._speed / math.hypot(*unit)
+        return [scale * v for v in unit]
+
+    def _clip_to_box(self, velocity_w: list[float]) -> list[float]:
+        acceleration, jerk = self._acceleration, self._jerk
+        return [
+            min(
+                max(v, -approach_speed_of(x - low, acceleration, jerk)),
+                approach_speed_of(high - x, acceleration, jerk),
+            )
+            for v, x, low, high in zip(velocity_w, self._x, self._low, self._high, strict=True)
+        ]

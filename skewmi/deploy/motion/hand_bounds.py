@@ -18,9 +18,6 @@ MAX_ACCELERATION = 2.5
 MAX_JERK = 80.0
 """Per axis, m/s^3: the acceleration is reached in 30 ms."""
 
-USUAL_SPEED = 0.15
-"""Speed of the tasks' actions, m/s, for which the lag is computed."""
-
 SHARE = 0.8
 """Part of the joint limits that the shaped hand motion may ask for; the rest is for feedback,
 posture and the curvature of the arm."""
@@ -39,16 +36,6 @@ class HandBounds:
     speed: float
     acceleration: float
     jerk: float
-
-    @property
-    def lag_s(self) -> float:
-        """By how much the shaped motion lags behind a command that starts or stops, s.
-
-        Half of the time V / A + A / J in which V is reached, since the velocity rises
-        symmetrically.
-        """
-        speed = min(self.speed, USUAL_SPEED)
-        return 0.5 * (speed / self.acceleration + self.acceleration / self.jerk)
 
 
 def derive_hand_bounds(

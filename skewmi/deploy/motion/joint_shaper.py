@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import ruckig
 
-from skewmi.deploy.motion.brake import Array, Stop, approach_speed, plan_stop
+from skewmi.deploy.motion.brake import ApproachSpeed, Array, Stop, plan_stop
 from skewmi.robot_models.limits import JointLimits
 
 HEADROOM = 0.999
@@ -17,6 +17,10 @@ POSITION_MARGIN = 2e-3
 HARD_MARGIN = 1e-3
 """Distance from them that every published chunk keeps, rad. It covers what a position can exceed
 the samples on both sides of it by, at most A h^2 / 8 = 3e-5 rad, many times over."""
+
+
+FEEDBACK_PHASE = 0.2
+"""Largest gain times delay of a feedback around the shaper, rad."""
 
 
 class JointShaper:
@@ -40,8 +44,10 @@ class JointShaper:
         self.velocity = HEADROOM * limits.velocity
         self.acceleration = HEADROOM * limits.acceleration
         self.jerk = HEADROOM * limits.jerk
+        self._approach = ApproachSpeed(self.acceleration, self.jerk)
         self._grid_dt = grid_dt
         joints = self.velocity.size
+        self._room = np.zeros((2, joints))
         self._otg = ruckig.Ruckig(joints)
         self._trajectory = ruckig.Trajectory(joints)
         self._input = ruckig.InputParameter(joints)
@@ -51,14 +57,33 @@ class JointShaper:
         self._input.max_jerk = self.jerk.tolist()
         self.q, self.v, self.a = np.zeros(joints), np.zeros(joints), np.zeros(joints)
 
+    @property
+    def lag_steps(self) -> int:
+        """By how many grid steps the shaper lags behind a velocity that changes as fast as it may.
+
+        To follow an acceleration a, it must be a^2 / 2J behind in velocity, from where the
+        acceleration can fade; that is a / 2J in time.
+        """
+        seconds = float((self.acceleration / (2.0 * self.jerk)).max())
+        return round(seconds / self._grid_dt)
+
+    def feedback_rate(self, largest: float) -> float:
+        """Gain up to which a feedback around this shaper is well damped, at most `largest`, 1/s.
+
+        The time A / J, in which an acceleration is built up, is the delay of small changes.
+        """
+        delay = float((self.acceleration / self.jerk).max())
+        return min(largest, FEEDBACK_PHASE / delay)
+
     def restore(self, q: Array, v: Array, a: Array) -> None:
         self.q, self.v, self.a = q.copy(), v.copy(), a.copy()
 
     def velocity_bounds(self) -> tuple[Array, Array]:
         """Lowest and highest velocity to aim for here; zero lies between. Each (7,), rad/s."""
-        up = approach_speed(self.upper - self.q, self.acceleration, self.jerk)
-        down = approach_speed(self.q - self.lower, self.acceleration, self.jerk)
-        return -np.minimum(self.velocity, down), np.minimum(self.velocity, up)
+        np.subtract(self.q, self.lower, out=self._room[0])
+        np.subtract(self.upper, self.q, out=self._room[1])
+        down, up = np.minimum(self.velocity, self._approach(self._room))
+        return -down, up
 
     def step(self, wanted: Array, low: Array, high: Array) -> None:
         """Advance by one grid step, the velocity moving towards the wanted one.

@@ -1,0 +1,126 @@
+"""The endpoint's tick of 4 ms in real time: the deployed controller and twin, without the wires.
+
+Every fifth tick states are measured and encoded as they would be published. At the tick after it,
+when the daemon has answered, a chunk arrives that was planned and encoded beforehand: it is
+decoded, judged and laid over the plan. At every tick the plan's sample is commanded and the physics
+makes a step.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+from planner_timing import Pace, StageTimes, percentiles
+
+from skewmi.deploy.daemon.realtime import hot_loop
+from skewmi.deploy.endpoint.base import GRID_NS, STATE_PERIOD_TICKS
+from skewmi.deploy.endpoint.controller import EndpointController
+from skewmi.deploy.endpoint.run import limit_check
+from skewmi.deploy.endpoint.sim_twin import SimTwin
+from skewmi.deploy.endpoint.validation import ChunkValidator, ValidationRules
+from skewmi.deploy.motion.planner import Planner
+from skewmi.deploy.wire.messages import (
+    JointStates,
+    TrajectoryChunk,
+    encode_chunk,
+    encode_joint_states,
+)
+from skewmi.policy_io import Workspace
+from skewmi.robot_models import limits, yumi
+
+TICKS_PER_CYCLE = 5
+GID = bytes(range(16))
+LEAD_TICKS = 5
+FIRST_TICK = 1_000
+
+
+def plan_chunks(workspace: Workspace, profile: str, cycles: int, seed: int) -> list[bytes]:
+    """Chunks of a policy that gives a random command every 100 ms, encoded."""
+    planner = Planner(workspace, limits.profile(profile))
+    planner.reset(np.array(workspace.start_configuration))
+    rng = np.random.default_rng(seed)
+    names = yumi.joint_names("right")
+    messages = []
+    for cycle in range(cycles):
+        if cycle % 5 == 0:
+            target = planner.command_position + rng.uniform(-0.015, 0.015, 3)
+            planner.set_target(np.clip(target, workspace.low, workspace.high), 0.1)
+        chunk = planner.step()
+        stamp_ns = (FIRST_TICK + LEAD_TICKS + TICKS_PER_CYCLE * cycle) * GRID_NS
+        times = np.arange(len(chunk.q), dtype=np.int64) * GRID_NS
+        messages.append(
+            encode_chunk(TrajectoryChunk(stamp_ns, names, times, chunk.q, chunk.v, chunk.a))
+        )
+    return messages
+
+
+def measure_endpoint(seconds: float, seed: int, profile: str = "lab") -> dict[str, Any]:
+    """Ticks for the given time.
+
+    Raises:
+        RuntimeError: A chunk was refused: then nothing was measured that matters.
+    """
+    backend = SimTwin()
+    workspace = backend.layout.workspace
+    assert workspace is not None
+    bounds = limits.profile(profile)
+    cycles = round(seconds / 0.02)
+    messages = plan_chunks(workspace, profile, cycles, seed)
+    rules = ValidationRules(joint_names=backend.joint_names, grid_ns=GRID_NS)
+    validator = ChunkValidator(rules, limit_check(bounds, workspace))
+    controller = EndpointController(backend, validator, first_tick=FIRST_TICK)
+    times = StageTimes()
+    times.watch(backend, "step", "physics")
+    ticks: list[tuple[float, float]] = []
+    with hot_loop(priority=True) as granted:
+        controller.arm(GID, time.monotonic_ns())
+        pace = Pace(GRID_NS / 1e9)
+        for tick in range(cycles * TICKS_PER_CYCLE):
+            pace.wait()
+            cpu, wall = time.thread_time(), time.perf_counter()
+            if tick % STATE_PERIOD_TICKS == 0:
+                with times.of("states"):
+                    _encode_states(controller)
+            if tick % TICKS_PER_CYCLE == 1:
+                cycle = tick // TICKS_PER_CYCLE
+                with times.of("chunk"):
+                    controller.receive(messages[cycle], GID, cycle + 1, time.monotonic_ns())
+            controller.step(time.monotonic_ns())
+            ticks.append((time.perf_counter() - wall, time.thread_time() - cpu))
+            pace.done()
+            times.end_round()
+    if controller.accepted != cycles:
+        refused = cycles - controller.accepted
+        raise RuntimeError(f"{refused} chunks refused, the first: {controller.refusals[0].reason}")
+    physics = times.rounds["physics"]
+    rest = [(w - p, 0.0) for (w, _), (p, _) in zip(ticks, physics, strict=True)]
+    return {
+        "seconds": seconds,
+        "tick": percentiles(ticks),
+        "tick_without_physics": percentiles(rest),
+        "stages": times.figures(),
+        **pace.figures(),
+        "chunks_accepted": controller.accepted,
+        "granted": granted,
+    }
+
+
+def _encode_states(controller: EndpointController) -> None:
+    """Joint and scene states as the server publishes them."""
+    measured = controller.measure()
+    stamp_ns, nothing = controller.clock_ns, measured.scene_position[:0]
+    for states in (
+        JointStates(
+            stamp_ns,
+            measured.scene_names,
+            measured.scene_position,
+            measured.scene_velocity,
+            nothing,
+        ),
+        JointStates(
+            stamp_ns, measured.names, measured.position, measured.velocity, measured.effort
+        ),
+    ):
+        encode_joint_states(states)
