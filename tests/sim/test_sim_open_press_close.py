@@ -265,7 +265,7 @@ def test_the_command_waits_within_the_step_for_a_hand_that_is_held_up() -> None:
     )  # the shortened command is one of joints, too
 
 
-@pytest.mark.parametrize(("delay_ms", "share"), [(0.0, 0.85), (20.0, 0.65)])
+@pytest.mark.parametrize(("delay_ms", "share"), [(0.0, 0.85), (20.0, 0.5)])
 def test_a_command_in_free_air_hardly_waits(tmp_path, delay_ms: float, share: float) -> None:
     twin = tmp_path / "late.yaml"
     twin.write_text(f"servo: {{delay_ms: {delay_ms}}}")

@@ -201,13 +201,13 @@ class EpisodeRunner:
                     ahead = follower.ahead(state, command)
                     stall = follower.stall_of_step(state, ahead, command)
                     target = integrate_command(layout, command, action, ahead, stall)
-                    planner.set_target(target, control_s)
+                    planner.set_target(target, control_s, at_once=stall > 0.0)
                     waiting = False
                     step += 1
                     self.steps = step
                 elif not waiting and follower.must_wait(state, target):
                     # As in training, the command ends where the hand no longer follows it.
-                    planner.set_target(follower.commanded(state), CYCLE_NS / 1e9)
+                    planner.set_target(follower.commanded(state), CYCLE_NS / 1e9, at_once=True)
                     waiting = True
                 chunk = planner.step(splice)
                 times.lap("plan")
