@@ -7,7 +7,7 @@ import ruckig
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skewmi.deploy.motion.brake import Array, approach_speed, plan_stop
+from skewmi.deploy.motion.brake import ApproachSpeed, Array, plan_stop
 
 GRID_DT = 0.004
 
@@ -88,11 +88,11 @@ def test_approach_speed_can_be_stopped_within_the_distance(
     distance: float, acceleration: float, jerk: float
 ) -> None:
     bounds = np.array([acceleration]), np.array([jerk])
-    speed = approach_speed(np.array([distance]), *bounds)
+    speed = ApproachSpeed(*bounds)(np.array([distance]))
     zero = np.zeros(1)
     _, high = plan_stop(zero, speed, zero, *bounds).extent()
     assert 0.0 <= high[0] <= distance + 1e-12
 
 
 def test_no_approach_beyond_the_bound() -> None:
-    assert not approach_speed(np.array([0.0, -1.0]), np.ones(2), np.ones(2)).any()
+    assert not ApproachSpeed(np.ones(2), np.ones(2))(np.array([0.0, -1.0])).any()
