@@ -200,8 +200,8 @@ class Planner:
             position_w: World, m; clipped to the workspace box. Shape (3,).
             duration_s: Time until it should be there, s. Longer than the control step for a
                 slowed-down execution.
-            at_once: Whether to give up what is left of the commanded path, and its corners:
-                for a hand that is held up, which shall be led no further.
+            at_once: Whether to give up what is left of the commanded path, and cut its corners:
+                for a policy that reacts to what it sees, and for a hand that is held up.
 
         Raises:
             LimitViolationError: A number is not finite, or the duration not positive.
