@@ -50,7 +50,9 @@ def press_workspace(start_configuration: Array) -> Workspace:
         start=(-0.009, -0.1345, 0.270),
         base_position=(-0.4, 0.0, 0.0),
         hand_quaternion_wxyz=(0.0, 0.5**0.5, 0.5**0.5, 0.0),
-        max_lead=0.03,
+        free_lead=1.0,
+        held_lead=0.2,
+        stop_lead=0.45,
         start_configuration=tuple(start_configuration.tolist()),
         gripper_opening=0.014,
     )
@@ -112,7 +114,9 @@ def random_workspace(rng: np.random.Generator, kinematics: ArmKinematics, kind: 
                 start=tuple((start + base)[k].tolist()),
                 base_position=tuple(base.tolist()),
                 hand_quaternion_wxyz=tuple(frames.quaternion_from_rotation(rotation[k]).tolist()),
-                max_lead=0.03,
+                free_lead=1.0,
+                held_lead=0.2,
+                stop_lead=0.45,
                 start_configuration=tuple(q[k].tolist()),
                 gripper_opening=0.014,
             )

@@ -1,7 +1,7 @@
 """What a policy sees and does: one description shared by simulation, training and deployment.
 
-`sim` and `deploy` both call `assemble_observation` and `integrate_command`, so that a policy
-meets on the robot exactly what it met in training. The description travels inside every
+`sim` and `deploy` both call `assemble_observation` (and `hand_command.integrate_command`), so that
+a policy meets on the robot exactly what it met in training. The description travels inside every
 checkpoint and ONNX file; its hash is compared before anything runs.
 
 This module needs numpy only.
@@ -85,8 +85,7 @@ class Workspace:
     All vectors are in metres in the task's world frame, whose axes are parallel to the robot
     base frame; `base_position` is the origin of the robot base frame in it. The hand frame is
     the flange (tool0), z out of the flange. `hand_quaternion_wxyz` is its constant orientation
-    in world. `max_lead` bounds the distance from the measured hand to the commanded one, and
-    with it the force a stiff servo can build up against an obstacle.
+    in world. The leads are in full actions: each axis of a distance divided by its action scale.
     """
 
     low: tuple[float, float, float]
@@ -94,7 +93,12 @@ class Workspace:
     start: tuple[float, float, float]
     base_position: tuple[float, float, float]
     hand_quaternion_wxyz: tuple[float, float, float, float]
-    max_lead: float
+    free_lead: float
+    """How far the command may run ahead of a hand that follows it; see `hand_command`."""
+    held_lead: float
+    """The same where something holds the hand up: bounds the force that the servos build up."""
+    stop_lead: float
+    """Stall at which a command stops before its step is over."""
     start_configuration: tuple[float, ...]
     """Joint angles, chain order 1,2,7,3,4,5,6, rad, that put the hand at `start`."""
     gripper_opening: float
@@ -309,37 +313,6 @@ def episode_success(layout: PolicyLayout, in_region: NDArray[np.bool_]) -> NDArr
     """Whether episodes succeeded; arguments as `first_success_step`. Shape (...)."""
     success: NDArray[np.bool_] = first_success_step(layout, in_region) > 0
     return success
-
-
-def integrate_command(
-    layout: PolicyLayout, command_position_w: Array, action: Array, hand_position_w: Array
-) -> Array:
-    """Next commanded hand position: the action added, clipped to lead and workspace box.
-
-    Called once per control step with the same arguments in simulation and deployment.
-
-    Args:
-        layout: Gives scale, box and lead; must have a workspace.
-        command_position_w: Present commanded position, world frame, m. Shape (..., 3).
-        action: In [-1, 1] (clipped here). Shape (..., action_dim); the first three components
-            are the velocity x, y, z.
-        hand_position_w: Measured hand position, world frame, m. Shape (..., 3).
-
-    Returns:
-        Commanded position at the end of the coming control step, m. Shape (..., 3).
-
-    Raises:
-        ConfigurationError: The layout has no workspace.
-    """
-    workspace = layout.workspace
-    if workspace is None:
-        raise ConfigurationError(f"task {layout.task!r} has no workspace to command a hand in")
-    step = np.clip(action[..., :3], -1.0, 1.0) * layout.action_scale[:3]
-    lead = command_position_w + step - hand_position_w
-    distance = np.linalg.norm(lead, axis=-1, keepdims=True)
-    lead = lead * np.minimum(1.0, workspace.max_lead / np.maximum(distance, 1e-12))
-    target: Array = np.clip(hand_position_w + lead, workspace.low, workspace.high)
-    return target
 
 
 class Policy(Protocol):

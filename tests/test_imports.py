@@ -10,6 +10,7 @@ import pytest
 FORBIDDEN: dict[str, tuple[str, ...]] = {
     "skewmi.errors": ("numpy", "mujoco", "torch"),
     "skewmi.policy_io": ("mujoco", "pinocchio", "torch", "onnxruntime", "zenoh", "skewmi.sim"),
+    "skewmi.hand_command": ("mujoco", "pinocchio", "torch", "zenoh", "skewmi.sim", "skewmi.deploy"),
     "skewmi.robot_models": (
         "torch",
         "pinocchio",

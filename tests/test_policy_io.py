@@ -25,7 +25,6 @@ from skewmi.policy_io import (
     episode_success,
     first_success_step,
     inside_region,
-    integrate_command,
     require_same_layout,
 )
 
@@ -35,7 +34,9 @@ WORKSPACE = Workspace(
     start=(-0.009, -0.1345, 0.27),
     base_position=(-0.4, 0.0, 0.0),
     hand_quaternion_wxyz=(0.0, math.sqrt(0.5), math.sqrt(0.5), 0.0),
-    max_lead=0.03,
+    free_lead=1.5,
+    held_lead=0.4,
+    stop_lead=0.45,
     start_configuration=(1.0, -2.0, -1.1, 0.1 + 0.2, 1e-17, 2.0 / 3.0, 5e-324),
     gripper_opening=0.014,
 )
@@ -79,7 +80,7 @@ def workspaces(draw: st.DrawFn) -> Workspace:
         return tuple(draw(st.lists(finite, min_size=n, max_size=n)))
 
     return Workspace(
-        *(numbers(3) for _ in range(4)), numbers(4), draw(finite), numbers(7), draw(finite)
+        *(numbers(3) for _ in range(4)), numbers(4), *numbers(3), numbers(7), draw(finite)
     )
 
 
@@ -289,61 +290,6 @@ def test_no_region_means_outside_and_nan_is_outside(states: Array) -> None:
     assert not inside_region(nowhere, states).any()
     states[:, 1] = np.nan
     assert not inside_region(LAYOUT, states).any()
-
-
-positions = hnp.arrays(np.float64, (5, 3), elements=st.floats(-0.5, 0.5))
-actions = hnp.arrays(np.float64, (5, 4), elements=st.floats(-3.0, 3.0))
-inside_box = st.tuples(
-    *(st.floats(low, high) for low, high in zip(WORKSPACE.low, WORKSPACE.high, strict=True))
-).map(np.array)
-
-
-@given(positions, actions, positions)
-def test_command_stays_in_the_box(command: Array, action: Array, hand: Array) -> None:
-    target = integrate_command(LAYOUT, command, action, hand)
-    assert (target >= WORKSPACE.low).all()
-    assert (target <= WORKSPACE.high).all()
-
-
-@given(positions, actions, inside_box)
-def test_command_leads_the_hand_by_no_more_than_allowed(
-    command: Array, action: Array, hand: Array
-) -> None:
-    """From inside the box, clipping to it only shortens the lead: a box is convex."""
-    lead = integrate_command(LAYOUT, command, action, hand) - hand
-    assert (np.linalg.norm(lead, axis=-1) <= WORKSPACE.max_lead + 1e-12).all()
-
-
-@given(inside_box, st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=4))
-def test_small_step_from_the_hand_is_the_scaled_action(hand: Array, action: list[float]) -> None:
-    small = 0.02 * np.array(action)
-    target = integrate_command(LAYOUT, hand, small, hand)
-    free = hand + small[:3] * LAYOUT.action_scale[:3]
-    np.testing.assert_allclose(target, np.clip(free, WORKSPACE.low, WORKSPACE.high), atol=1e-15)
-
-
-@given(positions, actions, positions)
-def test_command_clips_the_action_and_ignores_the_gripper(
-    command: Array, action: Array, hand: Array
-) -> None:
-    target = integrate_command(LAYOUT, command, action, hand)
-    clipped = np.clip(action, -1.0, 1.0)
-    np.testing.assert_array_equal(integrate_command(LAYOUT, command, clipped, hand), target)
-    np.testing.assert_array_equal(integrate_command(LAYOUT, command, action[:, :3], hand), target)
-
-
-@given(positions, actions, positions)
-def test_command_of_a_batch_is_that_of_its_rows(command: Array, action: Array, hand: Array) -> None:
-    batch = integrate_command(LAYOUT, command, action, hand)
-    for i in range(len(batch)):
-        row = integrate_command(LAYOUT, command[i], action[i], hand[i])
-        np.testing.assert_allclose(row, batch[i], rtol=0.0, atol=1e-15)
-
-
-def test_command_needs_a_workspace() -> None:
-    layout = dataclasses.replace(LAYOUT, workspace=None)
-    with pytest.raises(ConfigurationError, match="workspace"):
-        integrate_command(layout, np.zeros(3), np.zeros(4), np.zeros(3))
 
 
 steps_inside = hnp.arrays(np.bool_, st.tuples(st.integers(0, 30), st.integers(1, 4)))

@@ -149,7 +149,8 @@ def robot_metadata(env: BatchEnv) -> dict[str, Any]:
                 field.name: value
                 for field, value in zip(layout.action, speed.tolist(), strict=True)
             },
-            "max_lead": layout.workspace.max_lead,
+            "free_lead": layout.workspace.free_lead,
+            "held_lead": layout.workspace.held_lead,
         },
     }
 

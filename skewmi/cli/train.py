@@ -7,15 +7,16 @@ interrupted run continues with --resume exactly as if it had not been.
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 from skewmi.cli.policies import twin_option
-from skewmi.errors import ConfigurationError
+from skewmi.errors import CheckpointError, ConfigurationError
 from skewmi.sim import tasks
 from skewmi.train import run
-from skewmi.train.checkpoint import read_run_header
+from skewmi.train.checkpoint import read_checkpoint, read_run_header
 from skewmi.train.config import TrainConfig
 from skewmi.train.presets import preset
 from skewmi.train.run import TrainResult
@@ -35,6 +36,9 @@ class TrainCommand:
     """Of networks, sampling and environment."""
     resume: bool = False
     """Continue the run in the directory, or start it if there is none yet."""
+    start_from: Path | None = None
+    """Begin with the networks and the replay of another run, say to go on under a twin; its
+    steps count as done."""
     steps: int | None = None
     """Environment steps in total; default: the preset's."""
     minutes: float | None = None
@@ -42,6 +46,9 @@ class TrainCommand:
     stop_on_convergence: bool = False
     """Stop when 90 +- 3 % of the last 10 states of the last 10 evaluated trajectories are
     rewarded. Without --steps and --minutes this is the sensible way to end."""
+    set: tuple[str, ...] = ()
+    """Other numbers than the preset's: SECTION.NAME=VALUE, any of config.json, say
+    sac.n_step=1 replay.rare_share=0 task_options.gripper_action=true. Values are JSON."""
     num_envs: int | None = None
     """Environments stepped together; default: the preset's."""
     twin: str | None = None
@@ -55,6 +62,65 @@ class TrainCommand:
     """Print one JSON document on standard output at the end."""
     quiet: bool = False
     """No progress on standard error."""
+
+
+def with_settings(config: TrainConfig, settings: Sequence[str]) -> TrainConfig:
+    """A configuration with some of its numbers replaced.
+
+    Args:
+        config: Where from.
+        settings: SECTION.NAME=VALUE each, the value as JSON.
+
+    Raises:
+        ConfigurationError: There is no such section or name, or the value is not allowed.
+    """
+    content = json.loads(config.to_json())
+    content["task_options"] = dict(content["task_options"])
+    sections = [name for name, value in content.items() if isinstance(value, dict)]
+    for setting in settings:
+        path, equals, text = setting.partition("=")
+        section, dot, name = path.partition(".")
+        if not (equals and dot) or section not in sections:
+            raise ConfigurationError(
+                f"--set {setting}: give SECTION.NAME=VALUE with a section of {', '.join(sections)}"
+            )
+        if section != "task_options" and name not in content[section]:
+            raise ConfigurationError(
+                f"--set {setting}: {section} has no {name!r}; it has {', '.join(content[section])}"
+            )
+        try:
+            content[section][name] = json.loads(text)
+        except json.JSONDecodeError as error:
+            raise ConfigurationError(
+                f"--set {setting}: {text!r} is not JSON ({error}); write numbers as 0.5, switches "
+                'as true or false, words as "prefix"'
+            ) from error
+    content["task_options"] = list(content["task_options"].items())
+    try:
+        return TrainConfig.from_json(json.dumps(content))
+    except CheckpointError as error:
+        raise ConfigurationError(f"--set {' '.join(settings)}: {error}") from error
+
+
+def begun_from(options: TrainCommand) -> TrainConfig:
+    """The configuration of a run that begins with another one's networks and replay."""
+    assert options.start_from is not None
+    config, _ = read_run_header(options.start_from)
+    if options.task not in (None, config.task) or options.set or options.num_envs is not None:
+        raise ConfigurationError(
+            "--start-from takes task and numbers from the run it names; leave out --task, --set "
+            "and --num-envs"
+        )
+    step = read_checkpoint(options.start_from).state["step"]
+    without_twin = tuple((k, v) for k, v in config.task_options if k != "twin")
+    return replace(
+        config,
+        started_from=f"{options.start_from.name}, step {step}",
+        seed=options.seed,
+        device=options.device,
+        threads=options.threads,
+        task_options=without_twin + tuple(twin_option(options.twin).items()),
+    )
 
 
 def resolve(options: TrainCommand) -> TrainConfig:
@@ -73,6 +139,13 @@ def resolve(options: TrainCommand) -> TrainConfig:
                 f"--twin {options.twin} is not what the run in {options.run_dir} was started with; "
                 "leave --twin out to continue it, or use another directory"
             )
+        if options.set:
+            raise ConfigurationError(
+                f"--set changes a run that exists in {options.run_dir}; leave --set out to "
+                "continue it, or use another directory"
+            )
+    elif options.start_from is not None:
+        config = begun_from(options)
     elif options.task is None:
         config, _ = read_run_header(options.run_dir)  # says that there is no run here
     else:
@@ -84,6 +157,7 @@ def resolve(options: TrainCommand) -> TrainConfig:
         )
         extra = tuple(twin_option(options.twin).items())
         config = replace(config, task_options=config.task_options + extra)
+        config = with_settings(config, options.set)
         if options.num_envs is not None:
             evaluation = min(config.rollout.evaluation_envs, max(options.num_envs - 1, 0))
             rollout = replace(config.rollout, num_envs=options.num_envs, evaluation_envs=evaluation)
@@ -107,7 +181,12 @@ def train(options: TrainCommand) -> TrainResult:
         **dict(config.task_options),
     )
     return run.run_train(
-        config, env, options.run_dir, resume=options.resume, progress=not options.quiet
+        config,
+        env,
+        options.run_dir,
+        resume=options.resume,
+        start_from=options.start_from,
+        progress=not options.quiet,
     )
 
 

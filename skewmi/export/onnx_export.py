@@ -33,6 +33,7 @@ import onnx
 import onnxruntime
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 import skewmi
 from skewmi import policy_file
@@ -131,6 +132,22 @@ def export_policy(
     )
 
 
+class Clamped(torch.nn.Module):
+    """A policy whose actions are in [-1, 1] to the last bit: a runtime's tanh may pass 1 by one."""
+
+    def __init__(self, module: torch.nn.Module) -> None:
+        super().__init__()
+        self.module = module
+
+    def forward(self, observation: Tensor, *state: Tensor) -> Tensor | tuple[Tensor, ...]:
+        """Same shapes as the policy's."""
+        result = self.module(observation, *state)
+        if not state:
+            return torch.clamp(result, -1.0, 1.0)
+        action, *after = result
+        return torch.clamp(action, -1.0, 1.0), *after
+
+
 def build_model(module: torch.nn.Module, layout: PolicyLayout) -> onnx.ModelProto:
     """The ONNX graph of a policy module, without metadata.
 
@@ -143,6 +160,7 @@ def build_model(module: torch.nn.Module, layout: PolicyLayout) -> onnx.ModelProt
     """
     module = copy.deepcopy(module).to(device="cpu", dtype=torch.float32).eval()
     state_sizes = tuple(int(size) for size in getattr(module, "state_sizes", ()))
+    module = Clamped(module)
     inputs = [policy_file.OBSERVATION]
     outputs = [policy_file.ACTION]
     if state_sizes:
@@ -150,7 +168,8 @@ def build_model(module: torch.nn.Module, layout: PolicyLayout) -> onnx.ModelProt
         outputs += policy_file.STATE_OUTPUTS
     # Two rows: the exporter takes a dimension of size one as constant.
     example = tuple(torch.zeros(2, width) for width in (layout.observation_dim, *state_sizes))
-    batch = torch.export.Dim("batch")
+    rows = {0: torch.export.Dim("batch")}
+    shapes = (rows, tuple(rows for _ in state_sizes)) if state_sizes else (rows,)
     try:
         with _quiet_torch():
             program = torch.onnx.export(
@@ -158,7 +177,7 @@ def build_model(module: torch.nn.Module, layout: PolicyLayout) -> onnx.ModelProt
                 example,
                 input_names=inputs,
                 output_names=outputs,
-                dynamic_shapes=tuple({0: batch} for _ in inputs),
+                dynamic_shapes=shapes,
                 dynamo=True,
                 verbose=False,
             )

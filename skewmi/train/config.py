@@ -70,13 +70,15 @@ class ReplayConfig:
     """Share of a batch relabelled with a present proposal; the rest keeps its own."""
     rewarded_share: float = 0.25
     """Share of a batch drawn from episodes that met the extrinsic reward, once there are any."""
+    rare_share: float = 0.25
+    """Share of a batch drawn from the episodes in which the present proposals were met."""
 
     def __post_init__(self) -> None:
-        shares = (self.future_share, self.proposal_share, self.rewarded_share)
+        shares = (self.future_share, self.proposal_share, self.rewarded_share, self.rare_share)
         _require(
-            min(shares) >= 0.0 and self.future_share + self.proposal_share <= 1.0 >= shares[2],
-            f"shares {shares} (future, proposal, rewarded) must lie in [0, 1], "
-            "future + proposal too",
+            min(shares) >= 0.0 and shares[0] + shares[1] <= 1.0 and shares[2] + shares[3] <= 1.0,
+            f"shares {shares} (future, proposal, rewarded, rare) must lie in [0, 1], "
+            "future + proposal and rewarded + rare too",
         )
 
 
@@ -219,6 +221,9 @@ class TrainConfig:
     """Where the numbers started from."""
     task_options: tuple[tuple[str, bool | int | float | str], ...] = ()
     """Options the environment is made with: (name, value)."""
+    started_from: str = ""
+    """The run whose networks and replay this one began with, and at which step; empty: from
+    scratch."""
     seed: int = 0
     """Of networks, sampling and environment."""
     total_steps: int = 2_000_000

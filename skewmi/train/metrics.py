@@ -118,7 +118,7 @@ class Measurement:
         if not self.columns:
             return {}
         c = self.config
-        x = self.project(replay.random_states(c.entropy_points, generator))
+        x = self.project(replay.random_states(c.entropy_points, generator)[0])
         log_density = kernel_log_density(self.points, x, c.entropy_bandwidth)
         own = x[: min(5_000, len(x))]
         left_out = kernel_log_density(own, own, c.entropy_bandwidth, leave_one_out=True)

@@ -38,7 +38,11 @@ _PAPER_SAC = SacConfig(
 # The code stores each transition once as it was, 10 times with future goals and 4 times with
 # proposals.
 _PAPER_REPLAY = ReplayConfig(
-    capacity_steps=1_000_000, future_share=10 / 15, proposal_share=4 / 15, rewarded_share=0.0
+    capacity_steps=1_000_000,
+    future_share=10 / 15,
+    proposal_share=4 / 15,
+    rewarded_share=0.0,
+    rare_share=0.0,
 )
 _PAPER_SKEW = SkewConfig(
     intrinsic=0.005,
@@ -96,6 +100,7 @@ _MAZE_IMPROVED = TrainConfig(
     task_options=(("time_input", True),),
     total_steps=500_000,
     sac=SacConfig(updates_per_step=0.14),
+    replay=ReplayConfig(rare_share=0.0),  # not tried here
     skew=SkewConfig(
         intrinsic=0.01,
         sigma=2.0,
@@ -144,8 +149,9 @@ _PRESS_IMPROVED = TrainConfig(
     task_options=(("time_input", True),),
     total_steps=2_000_000,
     sac=SacConfig(target_entropy=-1.5),
-    # The fingers are not commanded: where contact bends them is not worth a goal.
-    skew=SkewConfig(field_weights=((_LID, 2.5), (_BUTTON, 2.5), ("gripper", 0.1))),
+    # What goals should differ in is the lid; x spans 20 mm of the hand's box, and the fingers are
+    # not commanded: where contact bends them is not worth a goal.
+    skew=SkewConfig(field_weights=((_LID, 2.5), (_BUTTON, 1.0), ("gripper", 0.1), ("hand_x", 0.3))),
     rollout=RolloutConfig(),
     measure=_PRESS_MEASURE,
 )

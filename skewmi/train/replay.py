@@ -123,12 +123,16 @@ class Replay:
         rows = self.rows[slots]
         return rows[:, :, self._state], rows[:, :-1, self._reward]
 
-    def random_states(self, count: int, generator: np.random.Generator) -> Array:
-        """States met after a step, drawn uniformly with replacement. Shape (count, d)."""
+    def random_states(self, count: int, generator: np.random.Generator) -> tuple[Array, Index]:
+        """States met after a step, drawn uniformly with replacement.
+
+        Returns:
+            States, shape (count, d), and the slots of their episodes, shape (count,).
+        """
         slots = generator.integers(len(self), size=count)
         steps = generator.integers(1, self.steps + 1, size=count)
         states: Array = self.rows[slots, steps, self._state].astype(np.float64)
-        return states
+        return states, slots
 
     def rewarded_states(self, count: int, generator: np.random.Generator) -> Array:
         """Up to `count` states that were paid, of recent rewarded episodes. Shape (n, d)."""
@@ -142,21 +146,34 @@ class Replay:
         return states
 
     def draw(
-        self, count: int, n_step: int, rewarded_share: float, generator: np.random.Generator
+        self,
+        count: int,
+        n_step: int,
+        rewarded_share: float,
+        generator: np.random.Generator,
+        *,
+        rare: Index | None = None,
+        rare_share: float = 0.0,
     ) -> Transitions:
-        """Draw transitions uniformly, a share of them from rewarded episodes if there are any.
+        """Draw transitions uniformly, but for a share from rewarded and one from rare episodes.
 
         Args:
             count: How many.
             n_step: Steps of reward each sums at most.
-            rewarded_share: Share from episodes with extrinsic reward.
+            rewarded_share: Share from episodes with extrinsic reward, if there are any.
             generator: Of the random choices.
+            rare: Slots of episodes that met rare states. Shape (k,), k may be 0.
+            rare_share: Share from those, if there are any.
         """
         episode = generator.integers(len(self), size=count)
+        kind = generator.random(count)
         slots = np.flatnonzero(self.rewarded[: len(self)])
-        if len(slots) and rewarded_share > 0.0:
-            chosen = generator.random(count) < rewarded_share
-            episode = np.where(chosen, slots[generator.integers(len(slots), size=count)], episode)
+        if rare is not None and len(rare):
+            drawn = rare[generator.integers(len(rare), size=count)]
+            episode = np.where(kind > 1.0 - rare_share, drawn, episode)
+        if len(slots):
+            drawn = slots[generator.integers(len(slots), size=count)]
+            episode = np.where(kind < rewarded_share, drawn, episode)
         step = generator.integers(self.steps, size=count)
         first = self.rows[episode, step]
         length = np.minimum(n_step, self.steps - step)

@@ -81,6 +81,7 @@ def run_train(
     run_dir: Path,
     *,
     resume: bool = False,
+    start_from: Path | None = None,
     progress: bool = True,
 ) -> TrainResult:
     """Train in `run_dir` until a budget is spent or, if asked for, until convergence.
@@ -95,6 +96,8 @@ def run_train(
         env: As many environments as the configuration says.
         run_dir: Created; must not hold a run unless resuming.
         resume: Continue from the latest checkpoint; with none yet, start.
+        start_from: Directory of another run, of the same networks and layout: a new run begins
+            with its networks, replay and counters, say under another twin.
         progress: Bar on standard error.
 
     Raises:
@@ -113,7 +116,7 @@ def run_train(
     started = time.monotonic()
     torch.set_num_threads(config.threads)
     keep_freed_memory()
-    trainer, resumed_at = _open(config, env, run_dir, resume)
+    trainer, resumed_at = _open(config, env, run_dir, resume, start_from)
     before = float(trainer_seconds(run_dir)) if resumed_at is not None else 0.0
     table = MetricsTable(run_dir, COLUMNS, resumed_at)
     figures: dict[str, float] = {}
@@ -165,9 +168,14 @@ def trainer_seconds(run_dir: Path) -> float:
 
 
 def _open(
-    config: TrainConfig, env: BatchEnv, run_dir: Path, resume: bool
+    config: TrainConfig, env: BatchEnv, run_dir: Path, resume: bool, start_from: Path | None
 ) -> tuple[Trainer, int | None]:
     """The trainer, and the step of the checkpoint it continues from."""
+    origin = None
+    if start_from is not None and not (run_dir / "config.json").exists():
+        _, layout = read_run_header(start_from)
+        require_same_layout(env.layout, layout, f"the run in {start_from}")
+        origin = read_checkpoint(start_from)
     exists = (run_dir / "config.json").exists()
     if exists and not resume:
         raise ConfigurationError(
@@ -179,6 +187,9 @@ def _open(
         _require_same_config(config, earlier, run_dir)
     write_run_header(run_dir, config, env.layout)
     trainer = Trainer(config, env)
+    if origin is not None:
+        trainer.begin_with(origin)
+        return trainer, None
     has_checkpoint = exists and any((run_dir / "checkpoints").glob("[0-9]*"))
     if not has_checkpoint:
         return trainer, (0 if exists else None)

@@ -24,7 +24,7 @@ from skewmi.train.density import (
     kernel_log_density,
     trajectory_log_density,
 )
-from skewmi.train.replay import Replay
+from skewmi.train.replay import Index, Replay
 
 
 def skew_weights(log_density: Array, exponent: float) -> Array:
@@ -49,7 +49,7 @@ def skew_weights(log_density: Array, exponent: float) -> Array:
 
 def propose(
     replay: Replay, scale: Scale, config: SkewConfig, generator: np.random.Generator
-) -> Array:
+) -> tuple[Array, Index]:
     """Draw reference points from the skewed density of everything visited.
 
     Args:
@@ -59,22 +59,27 @@ def propose(
         generator: Of the random choices.
 
     Returns:
-        In the task's units. Shape (goals, state_dim).
+        Reference points in the task's units, shape (goals, state_dim), and the replay's slots of
+        the episodes they were met in, shape (goals,); no slots if they are samples of a density.
     """
-    points = scale(replay.random_states(config.history_points, generator), weighted=True)
+    visited, _ = replay.random_states(config.history_points, generator)
+    points = scale(visited, weighted=True)
     h = config.history_bandwidth
     if config.candidates_from == "history":
-        candidates = scale(replay.random_states(config.candidates, generator), weighted=True)
+        visited, slots = replay.random_states(config.candidates, generator)
+        candidates = scale(visited, weighted=True)
     else:
         index = generator.integers(len(points), size=config.candidates)
         candidates = points[index] + h * generator.standard_normal((len(index), points.shape[1]))
     log_density = kernel_log_density(candidates, points, h, self_count=config.self_count)
     weights = skew_weights(log_density, config.weight_exponent)
-    chosen = candidates[generator.choice(len(candidates), size=config.goals, p=weights)]
+    index = generator.choice(len(candidates), size=config.goals, p=weights)
+    chosen = candidates[index]
     if config.candidates_from == "density":
         # The published code draws from another kernel density around the weighted samples.
         chosen = chosen + h * generator.standard_normal(chosen.shape)
-    return scale.inverse(chosen, weighted=True)
+        return scale.inverse(chosen, weighted=True), np.zeros(0, dtype=np.int64)
+    return scale.inverse(chosen, weighted=True), slots[index]
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from skewmi.train.hindsight import make_batch, relabel
 from skewmi.train.inputs import InputMap
 from skewmi.train.metrics import Measurement
 from skewmi.train.milestones import Convergence, Discoveries
-from skewmi.train.replay import Episodes, Replay
+from skewmi.train.replay import Episodes, Index, Replay
 from skewmi.train.rollout import GoalSource, collect
 from skewmi.train.sac import Sac
 from skewmi.train.skew_explore import RewardTerms, propose
@@ -56,6 +56,7 @@ class Trainer:
         d = layout.state_dim
         # Before anything is known, reference points are uniform over the nominal ranges.
         self.proposals: Array = self.generator.uniform(low[:d], high[:d], (config.skew.goals, d))
+        self.rare_episodes: Index = np.zeros(0, dtype=np.int64)
         self.rewarded_states: Array = np.zeros((0, d))
         self.command: Array = self.proposals[0]
         first = env.reset(seed=config.seed)
@@ -136,7 +137,9 @@ class Trainer:
     def _refresh(self) -> None:
         """New density units, proposals and command."""
         self._rescale()
-        self.proposals = propose(self.replay, self.scale, self.config.skew, self.generator)
+        self.proposals, self.rare_episodes = propose(
+            self.replay, self.scale, self.config.skew, self.generator
+        )
         self.rewarded_states = self.replay.rewarded_states(_COMMANDED_STATES, self.generator)
         if len(self.rewarded_states):
             x = self.scale(self.rewarded_states, weighted=False)
@@ -171,7 +174,12 @@ class Trainer:
         for begin in range(0, owed, _BATCHES_PER_DRAW):
             batches = min(_BATCHES_PER_DRAW, owed - begin)
             drawn = self.replay.draw(
-                size * batches, c.sac.n_step, c.replay.rewarded_share, self.generator
+                size * batches,
+                c.sac.n_step,
+                c.replay.rewarded_share,
+                self.generator,
+                rare=self.rare_episodes,
+                rare_share=c.replay.rare_share,
             )
             goals = relabel(
                 drawn,
@@ -199,6 +207,7 @@ class Trainer:
         """The arrays among the state."""
         arrays = {
             "proposals": self.proposals,
+            "rare_episodes": self.rare_episodes,
             "rewarded_states": self.rewarded_states,
             "scale_offset": self.scale.offset,
             "scale_unit": self.scale.unit,
@@ -232,8 +241,23 @@ class Trainer:
             "layout_hash": self.layout.hash(),
         }
 
-    def load(self, checkpoint: Checkpoint) -> None:
+    def begin_with(self, checkpoint: Checkpoint) -> None:
+        """Take networks, replay and counters from another run; what converged there has not here.
+
+        Raises:
+            CheckpointError: It is damaged or does not fit.
+        """
+        self.load(checkpoint, environment=False)
+        self.converged_at, self.best_score = None, (0.0, 0.0)
+        measure = self.config.measure
+        self.convergence = Convergence(measure.convergence_share, measure.convergence_tolerance)
+
+    def load(self, checkpoint: Checkpoint, *, environment: bool = True) -> None:
         """Continue exactly where `checkpoint` was written.
+
+        Args:
+            checkpoint: Of a run of this configuration.
+            environment: Whether the environment's random streams continue, too.
 
         Raises:
             CheckpointError: It is damaged or does not fit.
@@ -249,6 +273,7 @@ class Trainer:
                 if k.startswith("trainer.")
             }
             self.proposals, self.rewarded_states = own["proposals"], own["rewarded_states"]
+            self.rare_episodes = own["rare_episodes"]
             self.scale = Scale(own["scale_offset"], own["scale_unit"], own["scale_weight"])
             self.measurement.load({k: own[f"measurement_{k}"] for k in self.measurement.state()})
             self.steps, self.iteration = s["step"], s["iteration"]
@@ -262,7 +287,8 @@ class Trainer:
             self.discoveries.first = s["discoveries"]
             self.moments.load(s["moments"])
             self.generator.bit_generator.state = s["numpy_random"]
-            self.env.set_random_state(s["env_random"])
+            if environment:
+                self.env.set_random_state(s["env_random"])
             read_blocks(self.replay, checkpoint.path / "replay", s["episodes"])
         except (KeyError, TypeError, ValueError, IndexError) as error:
             raise CheckpointError(f"checkpoint {checkpoint.path} is damaged: {error}") from error

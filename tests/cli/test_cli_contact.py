@@ -90,13 +90,15 @@ def test_recorder_tells_what_the_environment_said_and_where_the_hand_was() -> No
     episodes = run_episodes(Leaning(layout), env, 3, 0, observer=recorder)
     values = recorder.values
     assert values.shape == (layout.episode_steps, len(QUANTITIES), 3)
-    peak, mean, _, tilt, outside, lead = values.swapaxes(0, 1)
+    peak, mean, standing, _, tilt, outside, lead = values.swapaxes(0, 1)
     hand = np.concatenate(
         [episodes.observation[1:, :, :3], episodes.final_observation[None, :, :3]]
     )
     nearest = np.clip(hand, low, high)
     np.testing.assert_allclose(outside, 1e3 * np.linalg.norm(hand - nearest, axis=-1), atol=1e-9)
     assert (peak >= mean - 1e-9).all()
+    np.testing.assert_allclose(standing[7], mean[3:8].mean(axis=0))
+    np.testing.assert_allclose(standing[1], mean[:2].sum(axis=0) / 5.0)
     # The second round was the last: its first environment is episode 2.
     last = env.diagnostics()
     np.testing.assert_array_equal(peak[-1, 2], last.hand_force_peak[0])

@@ -26,7 +26,9 @@ WORKSPACE = Workspace(
     start=(-0.009, -0.1345, 0.270),
     base_position=(-0.4, 0.0, 0.0),
     hand_quaternion_wxyz=(0.0, 0.5**0.5, 0.5**0.5, 0.0),
-    max_lead=0.03,
+    free_lead=1.0,
+    held_lead=0.3,
+    stop_lead=0.45,
     start_configuration=tuple(START.tolist()),
     gripper_opening=0.014,
 )
@@ -176,7 +178,9 @@ def test_singular_posture(guard: Guard) -> None:
         start=tuple(position.tolist()),
         base_position=(0.0, 0.0, 0.0),
         hand_quaternion_wxyz=tuple(quaternion_from_rotation(rotation).tolist()),
-        max_lead=0.03,
+        free_lead=1.0,
+        held_lead=0.3,
+        stop_lead=0.45,
         start_configuration=tuple(worst.tolist()),
         gripper_opening=0.014,
     )

@@ -31,7 +31,9 @@ def box() -> Workspace:
         start=tuple(BASE),
         base_position=BASE,
         hand_quaternion_wxyz=(1.0, 0.0, 0.0, 0.0),
-        max_lead=0.03,
+        free_lead=1.0,
+        held_lead=0.2,
+        stop_lead=0.45,
         start_configuration=tuple(MIDDLE.tolist()),
         gripper_opening=0.01,
     )

@@ -96,7 +96,8 @@ def test_the_button_gives_way_to_more_than_its_friction_and_stops_at_its_travel(
     data.qfrc_applied[scene.model.joint("button_slide").dofadr[0]] = 60.0
     run(scene, data, 1.0)
     assert data.qpos[scene.button_qpos] == pytest.approx(parts.BUTTON_TRAVEL, abs=1e-3)
-    assert inside_region(LAYOUT, np.array([0, 0, 0, 0, 0, data.qpos[scene.button_qpos]]))
+    x, y, z = WORKSPACE.start
+    assert inside_region(LAYOUT, np.array([x, y, z, 0, 0, data.qpos[scene.button_qpos]]))
 
 
 @pytest.mark.parametrize("torque", [-1.0, -5.0, -10.0])
@@ -173,7 +174,9 @@ def test_the_command_never_leaves_the_box(shaken) -> None:
 def test_inverse_kinematics_is_exact_on_the_commanded_path(shaken) -> None:
     position, rotation = kinematics.ArmKinematics("right").forward(shaken["command_q"])
     error = np.linalg.norm(position + frames.BASE_IN_WORLD - shaken["command"], axis=-1)
-    assert error.max() < 1e-4
+    # A command that waits for the hand ends on a chord in joint space; all others are exact.
+    assert error.max() < 2e-4
+    assert np.quantile(error, 0.9) < 2e-5
     cosine = np.einsum("...ij,ij->...", rotation, frames.HAND_DOWN) / 2 - 0.5
     assert np.degrees(np.arccos(np.clip(cosine.min(), -1, 1))) < 0.05
 
@@ -234,10 +237,50 @@ def test_a_blocked_hand_stops_leading_and_its_force_is_bounded() -> None:
         env.step(np.array([[0.0, 0.0, -1.0]]))
         forces.append(env.diagnostics().hand_force_mean[0])
         leads.append(env.diagnostics().hand_to_command[0])
-    assert 10.0 < forces[-1] < 100.0
+    assert 5.0 < forces[-1] < 40.0
     assert forces[-1] < forces[-10] + 2.0
     # The lead is bounded where a step begins; contact moves the hand while it runs.
-    assert leads[-1] < WORKSPACE.max_lead + 5e-3
+    assert leads[-1] < WORKSPACE.held_lead * definition.HAND_STEP + 1e-3
+
+
+def test_the_command_waits_within_the_step_for_a_hand_that_is_held_up() -> None:
+    """Pushed down onto the lid at full speed: the first contact leads by no full action."""
+    env = OpenPressCloseBatch(1, num_threads=1, randomization=Randomization((0.0, 0.0, 0.0)))
+    env.reset()
+    for _ in range(5):
+        env.step(np.array([[0.0, 1.0, 0.0]]))
+    leads, moved = [], []
+    for _ in range(10):
+        before = env.command()[0][0, 2]
+        env.step(np.array([[0.0, 0.0, -1.0]]))
+        leads.append(env.diagnostics().hand_to_command[0])
+        moved.append(before - env.command()[0][0, 2])
+    # Without that it would be led by a full action when the step ends.
+    assert max(leads) < 0.8 * definition.HAND_STEP
+    assert max(moved) == pytest.approx(definition.HAND_STEP, abs=1e-6)  # until there was contact
+    q = env.command()[1]
+    position, _ = env.scene.kinematics.forward(q)
+    np.testing.assert_allclose(
+        position + frames.BASE_IN_WORLD, env.command()[0], atol=1e-4
+    )  # the shortened command is one of joints, too
+
+
+@pytest.mark.parametrize(("delay_ms", "share"), [(0.0, 0.85), (20.0, 0.5)])
+def test_a_command_in_free_air_hardly_waits(tmp_path, delay_ms: float, share: float) -> None:
+    twin = tmp_path / "late.yaml"
+    twin.write_text(f"servo: {{delay_ms: {delay_ms}}}")
+    env = OpenPressCloseBatch(1, num_threads=1, twin=twin)
+    env.reset(0)
+    for _ in range(8):  # up and clear of the lid
+        env.step(np.array([[0.0, 0.0, 0.7]]))
+    for action in ([0, 1, 0], [0, -1, 0], [0.5, 0.7, -0.5], [-0.5, -0.7, 0.5]):
+        begin = env.command()[0][0]
+        for _ in range(4):
+            env.step(np.array([action], dtype=float))
+        way = np.linalg.norm(env.command()[0][0] - begin)
+        # A reversal costs a part of its first step, because the hand is still on its way.
+        asked = 4 * definition.HAND_STEP * np.linalg.norm(action)
+        assert share * asked < way < asked + 1e-9
 
 
 def test_the_gripper_action_moves_the_fingers_at_their_speed() -> None:

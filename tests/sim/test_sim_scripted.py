@@ -74,7 +74,8 @@ def test_forces_are_those_of_a_collaborative_robot(nominal: Run) -> None:
 
 def test_the_hand_stays_upright_in_its_box_and_near_its_command(nominal: Run) -> None:
     assert np.degrees(nominal.figure("hand_tilt").max()) <= 2.0
-    assert nominal.figure("hand_to_command").max() <= nominal.layout.workspace.max_lead + 1e-3
+    scale = nominal.layout.action_scale[:3]
+    assert nominal.figure("hand_to_command").max() <= np.linalg.norm(scale) + 1e-3
     hand = nominal.states[..., :3]
     assert np.all(hand >= np.array(nominal.layout.workspace.low) - 0.003)
     assert np.all(hand <= np.array(nominal.layout.workspace.high) + 0.003)

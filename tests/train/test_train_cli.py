@@ -81,3 +81,62 @@ def test_bad_input_is_one_line(tmp_path, capsys, arguments: list[str], message: 
 def test_a_run_is_not_overwritten(run_dir: Path, capsys) -> None:
     assert main(["train", "--run-dir", str(run_dir), *SHORT]) == 2
     assert "--resume" in capsys.readouterr().err
+
+
+def test_numbers_of_the_preset_can_be_set(tmp_path, capsys) -> None:
+    folder = tmp_path / "run"
+    changes = ["--set", "sac.n_step=1", "skew.sigma=1.5", 'skew.trajectory_density="whole"']
+    assert main(["train", "--run-dir", str(folder), *SHORT, *changes]) == 0
+    config = json.loads((folder / "config.json").read_text())["config"]
+    assert (config["sac"]["n_step"], config["skew"]["sigma"]) == (1, 1.5)
+    assert config["skew"]["trajectory_density"] == "whole"
+    again = ["train", "--run-dir", str(folder), "--resume", "--set", "sac.n_step=3", "--quiet"]
+    assert main(again) == 2
+    assert "leave --set out" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("setting", "says"),
+    [
+        ("sac.n_steps=1", "it has hidden"),
+        ("n_step=1", "SECTION.NAME=VALUE"),
+        ("sac.n_step", "SECTION.NAME=VALUE"),
+        ("sac.n_step=one", "not JSON"),
+        ("sac.n_step=0", "needs at least 1"),
+        ("task_options.no_such=1", "no_such"),
+    ],
+)
+def test_settings_that_mean_nothing_are_refused(tmp_path, capsys, setting, says) -> None:
+    folder = tmp_path / "run"
+    assert main(["train", "--run-dir", str(folder), *SHORT, "--set", setting]) == 2
+    assert says in capsys.readouterr().err
+    assert not folder.exists()
+
+
+def test_a_run_can_begin_with_another_ones_networks_and_replay(
+    run_dir: Path, tmp_path, capsys
+) -> None:
+    folder = tmp_path / "second"
+    begin = read_metrics(run_dir)["step"][-1]
+    arguments = ["train", "--run-dir", str(folder), "--start-from", str(run_dir), "--seed", "6"]
+    assert main([*arguments, "--steps", str(int(begin) + 400), "--json", "--quiet"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["steps"] == begin + 400
+    config = json.loads((folder / "config.json").read_text())["config"]
+    assert config["seed"] == 6
+    assert config["started_from"] == f"{run_dir.name}, step {int(begin)}"
+    ours, _ = visited_states(folder)
+    theirs, _ = visited_states(run_dir)
+    np.testing.assert_array_equal(ours[: len(theirs)], theirs)
+    # It is a run of its own: it resumes without the other one.
+    again = ["train", "--run-dir", str(folder), "--resume", "--steps", str(int(begin) + 800)]
+    assert main([*again, "--quiet"]) == 0
+
+
+def test_what_a_run_began_with_cannot_be_changed(run_dir: Path, tmp_path, capsys) -> None:
+    arguments = ["train", "--run-dir", str(tmp_path / "x"), "--start-from", str(run_dir)]
+    assert main([*arguments, "--num-envs", "3", "--quiet"]) == 2
+    assert "leave out" in capsys.readouterr().err
+    assert main([*arguments[:-1], str(tmp_path / "none"), "--quiet"]) == 2
+    assert "none" in capsys.readouterr().err
+    assert not (tmp_path / "x").exists()

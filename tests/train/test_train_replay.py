@@ -214,13 +214,33 @@ def test_proposals_prefer_the_rare(layout) -> None:
         config = SkewConfig(
             history_bandwidth=0.2, goals=2000, weight_exponent=exponent, running_scale=False
         )
-        goals = propose(replay, scale, config, rng)
+        goals, _ = propose(replay, scale, config, rng)
         share[exponent] = (goals[:, 0] > 2.0).mean()
         known = replay.rows[:100, 1:, :2].reshape(-1, 2)
         assert all(np.isclose(known, goal, atol=1e-5).all(1).any() for goal in goals[:20])
     assert share[0.0] == pytest.approx(0.05, abs=0.02)
     assert share[-1.0] == pytest.approx(0.5, abs=0.05)  # both corners have the same area
     assert share[-2.5] > 0.95
+
+
+def test_a_share_of_a_batch_comes_from_the_episodes_of_the_proposals(layout) -> None:
+    rng = np.random.default_rng(8)
+    replay = Replay(layout, 100 * layout.episode_steps)
+    episodes = make_episodes(layout, 100, rng)
+    episodes.rewards[:] = 0.0
+    episodes.rewards[3] = 1.0
+    episodes.observations[:, :, :2] = rng.uniform(0.0, 0.5, size=(100, 41, 2))
+    episodes.observations[95:, :, :2] = rng.uniform(3.5, 4.0, size=(5, 41, 2))
+    replay.add(episodes, np.zeros_like(episodes.rewards))
+    config = SkewConfig(history_bandwidth=0.2, goals=500, running_scale=False)
+    goals, slots = propose(replay, unit_scale(layout), config, rng)
+    np.testing.assert_array_equal(slots >= 95, goals[:, 0] > 2.0)
+    drawn = replay.draw(8000, 1, 0.25, rng, rare=slots, rare_share=0.25).episode
+    # The rest is uniform over 100 episodes.
+    assert (drawn >= 95).mean() == pytest.approx(0.25 + 0.5 * 0.05, abs=0.03)
+    assert (drawn == 3).mean() == pytest.approx(0.25 + 0.5 * 0.01, abs=0.03)
+    drawn = replay.draw(8000, 1, 0.0, rng, rare=slots[:0], rare_share=0.25).episode
+    assert (drawn >= 95).mean() == pytest.approx(0.05, abs=0.02)
 
 
 def test_own_count_keeps_one_outlier_from_taking_all_goals(layout) -> None:
@@ -231,5 +251,6 @@ def test_own_count_keeps_one_outlier_from_taking_all_goals(layout) -> None:
     episodes.observations[0, 20, :2] = 4.0  # seen once
     replay.add(episodes, np.zeros_like(episodes.rewards))
     config = SkewConfig(history_bandwidth=0.1, history_points=2000, running_scale=False)
-    goals = propose(replay, unit_scale(layout), config, rng)
+    goals, slots = propose(replay, unit_scale(layout), config, rng)
     assert (goals[:, 0] > 3.9).mean() < 0.6
+    assert len(slots) == len(goals)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from skewmi.deploy.daemon.hand_follower import HandFollower
 from skewmi.deploy.daemon.observer import ArmState, Observer
 from skewmi.deploy.daemon.robot_client import LateChunkError
 from skewmi.deploy.daemon.stream import CYCLE_NS, CYCLE_TICKS, ChunkStream
@@ -16,7 +17,8 @@ from skewmi.deploy.motion.planner import Planner
 from skewmi.deploy.motion.start_motion import StartMotion
 from skewmi.deploy.wire.messages import JointStates, encode_joint_states
 from skewmi.errors import CommandRefusedError
-from skewmi.policy_io import Array, Policy, inside_region, integrate_command
+from skewmi.hand_command import integrate_command
+from skewmi.policy_io import Array, Policy, inside_region
 from skewmi.robot_models.limits import JointLimits
 
 START_ATTEMPTS = 3
@@ -24,10 +26,6 @@ START_ATTEMPTS = 3
 
 RESYNCS = 10
 """How often per episode the arm may come to rest because its commands were late."""
-
-FOLLOWING, NOT_FOLLOWING = 0.005, 0.010
-"""Distances of measured from commanded hand up to which, and from which on, the arm counts as
-following and as held up, m; linear between."""
 
 REACHED = 0.02
 """Largest joint error at which the start pose counts as reached, rad."""
@@ -177,6 +175,8 @@ class EpisodeRunner:
         control_s = self._action_cycles * CYCLE_NS / 1e9
         opening = workspace.gripper_opening
         step, held, wait, resyncs, held_back, reason = 0, 0, 0, 0, 0, ""
+        waiting = False
+        follower = HandFollower(layout, observer, stream, state)
         while True:
             times.start(state.received_ns)
             for splice in stream.due(state.stamp_ns, state.received_ns):
@@ -198,11 +198,19 @@ class EpisodeRunner:
                     action = policy.act(observation)
                     times.lap("policy")
                     command = planner.command_position
-                    ahead = self._hand_ahead(state, hand, command)
-                    target = integrate_command(layout, command, action, ahead)
-                    planner.set_target(target, control_s)
+                    ahead = follower.ahead(state, command)
+                    stall = follower.stall_of_step(state, ahead, command)
+                    target = integrate_command(layout, command, action, ahead, stall)
+                    # Lag costs a policy more than a cut corner: with corners kept, 93 of 100
+                    # episodes of OpenPressClose succeeded instead of 99.
+                    planner.set_target(target, control_s, at_once=True)
+                    waiting = False
                     step += 1
                     self.steps = step
+                elif not waiting and follower.must_wait(state, target):
+                    # As in training, the command ends where the hand no longer follows it.
+                    planner.set_target(follower.commanded(state), CYCLE_NS / 1e9, at_once=True)
+                    waiting = True
                 chunk = planner.step(splice)
                 times.lap("plan")
                 stream.send(chunk)
@@ -227,30 +235,6 @@ class EpisodeRunner:
                 q, state = self._resync()
                 planner.reset(q)
                 stream.begin(q, state.stamp_ns)
-
-    def _hand_ahead(self, state: ArmState, hand: Array, command: Array) -> Array:
-        """Where the measured hand will be once it has made the motion that is under way.
-
-        `integrate_command` bounds how far the command runs ahead of the hand. In training the
-        hand is measured when the command is given; here about 0.1 s of commanded motion (the
-        stream's lead, the planner's shaping) is still to come when the policy acts, and would
-        count as lead.
-        So that motion is added, as long as the arm follows. An arm that is held up does not
-        follow: then the bound is on command against measured hand, as it should be.
-
-        Args:
-            state: Newest arm state.
-            hand: Measured hand of `state`, world, m. Shape (3,).
-            command: Present end of the commanded motion, world, m. Shape (3,).
-
-        Returns:
-            World, m. Shape (3,).
-        """
-        commanded = self._observer.hand_of(self._stream.commanded(state.stamp_ns))
-        deviation = float(np.linalg.norm(hand - commanded))
-        trust = (NOT_FOLLOWING - deviation) / (NOT_FOLLOWING - FOLLOWING)
-        ahead: Array = hand + min(max(trust, 0.0), 1.0) * (command - commanded)
-        return ahead
 
     def _publish_step(self, stamp_ns: int, observation: Array, action: Array | None = None) -> None:
         layout = self._layout

@@ -129,6 +129,10 @@ class CartesianShaper:
         self._v, self._a = [0.0] * 3, [0.0] * 3
         self._path = FollowedPath(round(MAX_BEHIND / grid_dt))
 
+    def forget_path(self) -> None:
+        """Go after the command from where it is now, whatever way it came."""
+        self._path.clear()
+
     @property
     def position_w(self) -> Array:
         return np.array(self._x)

@@ -71,14 +71,22 @@ class BatchTwin:
         rows = np.arange(SUBSTEPS, 2 * SUBSTEPS) - delay_substeps(sample)[:, None]
         self._rows = rows + 2 * SUBSTEPS * np.arange(n)[:, None]
 
-    def delay(self, targets: Array) -> None:
-        """Replace a step's targets by what the servos get. Shape (n, SUBSTEPS, nu)."""
-        targets[:, :, self._scene.finger_ctrl] += self._opening_error[:, None]
+    def begin_step(self) -> None:
+        """The targets of the coming step become those of the last one."""
         self._path[:, :SUBSTEPS] = self._path[:, SUBSTEPS:]
+
+    def delay(self, targets: Array, out: Array) -> None:
+        """What the servos get of a step's targets; may be called again if these change.
+
+        Args:
+            targets: As commanded. Shape (n, SUBSTEPS, nu).
+            out: What the servos get, of the same shape.
+        """
         self._path[:, SUBSTEPS:] = targets
+        self._path[:, SUBSTEPS:, self._scene.finger_ctrl] += self._opening_error[:, None]
         flat = self._path.reshape(-1, targets.shape[-1])
         # Every row exists; "clip" only spares a buffer.
-        np.take(flat, self._rows, axis=0, out=targets, mode="clip")
+        np.take(flat, self._rows, axis=0, out=out, mode="clip")
 
     def sensor_errors(self) -> tuple[Array, Array, Array] | None:
         """Errors of one reading, see `SensorErrors.draw`; None if every sensor is ideal."""

@@ -15,10 +15,14 @@ CONTROL_DT = 0.1
 """Time between two actions, s. The original takes 1 s; its arm is a hundred times lighter."""
 SUBSTEPS = 25
 """Physics steps per control step."""
+WATCH_SUBSTEPS = 5
+"""Physics steps between two looks at whether the hand follows its command: 20 ms, a cycle of the
+deployed planner."""
 EPISODE_STEPS = 200
 
 HAND_STEP = 0.015
-"""Hand travel per control step and axis at action 1.0, m: 150 mm/s."""
+"""Hand travel per control step and axis at action 1.0, m: 150 mm/s. (The published code moves
+10 mm per action along z; with that the button was found a good deal later.)"""
 FINGER_STEP = 0.0025
 """Finger travel per control step at action 1.0, m: the gripper's 25 mm/s."""
 FINGER_MAX = yumi.GRIPPER.travel
@@ -27,12 +31,19 @@ GRIPPER_OPENING = 0.014
 """Finger travel while the policy does not move the fingers, m: the bar fits between them with
 the hook behind it."""
 
-MAX_LEAD = 0.015
-"""How far the command may run ahead of the measured hand, m: one full action. With the servos of
-the scene it bounds what a blocked hand pushes with."""
+FREE_LEAD = 1.0
+"""How far the command may run ahead of a hand that follows it, in full actions."""
+HELD_LEAD = 0.2
+"""The same where something holds the hand up: 3 mm, which the scene's servos turn into 40 N at
+most (in the stiffest direction; some 7 N sideways)."""
+STOP_LEAD = 0.45
+"""Stall at which a command stops before its step is over: 7 mm. A late arm (40 ms) that starts to
+move is 0.4 behind."""
 
 LID_SHUT = 0.035
 """Largest lid angle that counts as shut, rad: the lid's edge is then 5 mm above its rest."""
+BOX_TOLERANCE = 0.002
+"""How far outside its box the hand may be in the reward region, m."""
 PRESSED_MIN = 0.010
 """Smallest button depth that counts as pressed, m (the paper's 1 cm)."""
 PRESSED_MAX = 0.032
@@ -55,7 +66,9 @@ def make_layout(*, gripper_action: bool = False, time_input: bool = False) -> Po
         start=(-0.009, -0.1345, 0.270),
         base_position=(x, y, z),
         hand_quaternion_wxyz=(qw, qx, qy, qz),
-        max_lead=MAX_LEAD,
+        free_lead=FREE_LEAD,
+        held_lead=HELD_LEAD,
+        stop_lead=STOP_LEAD,
         start_configuration=yumi.PRESS_START_CONFIGURATION,
         gripper_opening=GRIPPER_OPENING,
     )
@@ -78,6 +91,10 @@ def make_layout(*, gripper_action: bool = False, time_input: bool = False) -> Po
         observation=tuple(observation),
         action=tuple(action),
         reward_region=(
+            *(
+                Ball((f"hand_{axis}",), ((low + high) / 2,), (high - low) / 2 + BOX_TOLERANCE)
+                for axis, low, high in zip("xyz", workspace.low, workspace.high, strict=True)
+            ),
             Ball(("lid_angle",), (0.0,), LID_SHUT),
             Ball(
                 ("button_depth",),

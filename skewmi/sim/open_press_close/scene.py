@@ -16,11 +16,11 @@ from skewmi.sim.open_press_close import parts
 from skewmi.sim.open_press_close.definition import SIM_DT, make_layout
 from skewmi.sim.open_press_close.randomization import Randomization
 
-_KP = np.array([375.0, 375.0, 250.0, 250.0, 300.0, 300.0, 150.0])
+_KP = np.array([300.0, 300.0, 200.0, 200.0, 600.0, 600.0, 300.0])
 SERVO = servo.DEFAULT.with_changes(
     kp=_KP,
     kd=servo.critical_damping(_KP, servo.ARMATURE),
-    force_limit=np.array([12.5, 12.5, 6.0, 6.0, 5.5, 5.5, 4.0]),
+    force_limit=np.array([12.5, 12.5, 6.0, 6.0, 6.0, 6.0, 6.0]),
 )
 """Servos for work in contact. A soft arm bounds the force that the command's lead over the hand
 can build up, and a wrist that is stiff and strong for its size keeps the hand upright under it
@@ -63,6 +63,9 @@ def build_spec(servo_parameters: servo.ServoParameters = SERVO) -> mujoco.MjSpec
         # fingers would then open 4 mm further than they can.
         spec.joint(name).solref_limit = parts.STIFF_LIMIT["solref_limit"]
         spec.joint(name).solimp_limit = parts.STIFF_LIMIT["solimp_limit"]
+    for geom in list(spec.geoms):
+        # Of two geoms in contact MuJoCo takes the larger friction.
+        geom.friction[0] = parts.FRICTION
     parts.add_parts(spec)
     for name, body in ((HAND_FORCE_SENSOR, "yumi_link_7_r"), (ARM_FORCE_SENSOR, "yumi_link_1_r")):
         spec.add_sensor(

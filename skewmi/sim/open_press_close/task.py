@@ -19,12 +19,12 @@ from skewmi.policy_io import (
     PolicyLayout,
     assemble_observation,
     inside_region,
-    integrate_command,
 )
 from skewmi.robot_models import servo
 from skewmi.sim.checks import checked_action, checked_num_envs
 from skewmi.sim.open_press_close import definition, reach
 from skewmi.sim.open_press_close.batch_twin import BatchTwin
+from skewmi.sim.open_press_close.command_path import CommandPath
 from skewmi.sim.open_press_close.diagnostics import Diagnostics
 from skewmi.sim.open_press_close.randomization import Randomization
 from skewmi.sim.open_press_close.scene import (
@@ -41,10 +41,7 @@ layout = definition.make_layout
 class OpenPressCloseBatch:
     """`num_envs` robots with a box each; satisfies `BatchEnv`.
 
-    A control step is the deployed command path: the action moves the commanded hand position
-    (`integrate_command`), inverse kinematics follows it from the commanded configuration, and
-    the servos' targets run linearly to the new one over the substeps, with the velocity of that
-    line as feed-forward.
+    A control step is the deployed command path, see `CommandPath`.
 
     Attributes:
         num_envs, layout: See `BatchEnv`.
@@ -109,13 +106,14 @@ class OpenPressCloseBatch:
         )
         self._rng = np.random.default_rng(seed)
         self._step_index = -1
-        self._command_position_w = np.empty((self.num_envs, 3))
-        self._command_q = np.empty((self.num_envs, 7))
-        self._command_opening = np.empty(self.num_envs)
-        # Held from step to step, because allocating them costs as much as several substeps.
+        self._hand_position_w = np.empty((self.num_envs, 3))
+        self._command = CommandPath(self.layout, self.scene, self.num_envs)
+        # Without a twin the servos get what is commanded.
+        targets = self._command.targets
+        self.servo_targets = targets if self._twin is None else targets.copy()
         steps = definition.SUBSTEPS
-        self._fraction = (np.arange(1, steps + 1) / steps)[:, None]
-        self.servo_targets = np.empty((self.num_envs, steps, self.scene.model.nu))
+        sensors = self.scene.model.nsensordata
+        self._part = {"sensordata": np.empty((self.num_envs, definition.WATCH_SUBSTEPS, sensors))}
         self._record = {
             "sensordata": np.empty((self.num_envs, steps, self.scene.model.nsensordata))
         }
@@ -132,10 +130,7 @@ class OpenPressCloseBatch:
                 self._twin.seed(seed)
         starts = self._randomization.sample_starts(self.layout, self.num_envs, self._rng)
         qpos = self.scene.start_positions(self.layout, starts)
-        self._command_position_w = starts
-        self._command_q = qpos[:, self.scene.arm_qpos]
-        self._command_opening = np.full(self.num_envs, self._workspace.gripper_opening)
-        controls = self.scene.controls(self._command_q, self._command_opening)
+        controls = self._command.start(starts, qpos[:, self.scene.arm_qpos])
         if self._twin is not None:
             self._twin.start(qpos, controls)
         self.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
@@ -145,6 +140,7 @@ class OpenPressCloseBatch:
         self._record["sensordata"][:] = 0.0
         self._step_index = 0
         self._read()
+        self._hand_before_w = self._hand_position_w
         return self._observe()[0]
 
     def step(self, action: Array) -> StepResult:
@@ -161,10 +157,13 @@ class OpenPressCloseBatch:
                 "call reset first"
             )
         values = checked_action(action, self.num_envs, self.layout.action_dim)
-        self._move_command(values)
-        self.batch.rollout(
-            definition.SUBSTEPS, self.servo_targets, record=("sensordata",), out=self._record
+        self._command.move(
+            values, self._hand_position_w, self._hand_position_w - self._hand_before_w
         )
+        if self._twin is not None:
+            self._twin.begin_step()
+            self._twin.delay(self._command.targets, self.servo_targets)
+        self._roll_out()
         self._check_physics()
         self._step_index += 1
         self._read()
@@ -177,25 +176,21 @@ class OpenPressCloseBatch:
             truncated=self._step_index == self.layout.episode_steps,
         )
 
-    def _move_command(self, action: Array) -> None:
-        """Turn actions into the servos' targets at every substep."""
-        q_before, opening_before = self._command_q, self._command_opening
-        self._command_position_w = integrate_command(
-            self.layout, self._command_position_w, action, self._hand_position_w
-        )
-        self._command_q = self.scene.arm_positions(
-            self._workspace, self._command_position_w, q_before
-        )
-        if self.layout.action_dim == 4:
-            travel = np.clip(action[:, 3], -1.0, 1.0) * self.layout.action_scale[3]
-            self._command_opening = np.clip(opening_before + travel, 0.0, definition.FINGER_MAX)
-        velocity = (self._command_q - q_before) / self.layout.control_dt
-        first = self.scene.controls(q_before, opening_before, velocity)
-        last = self.scene.controls(self._command_q, self._command_opening, velocity)
-        np.multiply((last - first)[:, None, :], self._fraction, out=self.servo_targets)
-        self.servo_targets += first[:, None, :]
-        if self._twin is not None:
-            self._twin.delay(self.servo_targets)
+    def _roll_out(self) -> None:
+        """Step the physics; where a hand is held up, its command waits for it."""
+        period, steps = definition.WATCH_SUBSTEPS, definition.SUBSTEPS
+        hand_w = self._hand_position_w
+        for begin in range(0, steps, period):
+            if begin:
+                before_w, hand_w = hand_w, self.scene.hand_pose(self._qpos)[0]
+                held = self._command.wait_for_hands(begin, hand_w, hand_w - before_w)
+                if held.size and self._twin is not None:
+                    self._twin.delay(self._command.targets, self.servo_targets)
+            part = slice(begin, begin + period)
+            self.batch.rollout(
+                period, self.servo_targets[:, part], record=("sensordata",), out=self._part
+            )
+            self._record["sensordata"][:, part] = self._part["sensordata"]
 
     def _check_physics(self) -> None:
         if not self.batch.warning.any():
@@ -214,6 +209,7 @@ class OpenPressCloseBatch:
         if self._errors is not None:
             measured = measured.copy()
             measured[:, self.scene.arm_qpos] += self._errors[0]
+        self._hand_before_w = self._hand_position_w
         self._hand_position_w, _ = self.scene.hand_pose(measured)
 
     def _observe(self) -> tuple[Array, Array]:
@@ -250,7 +246,7 @@ class OpenPressCloseBatch:
             hand_force_mean=hand_force.mean(axis=1),
             arm_force_peak=np.linalg.norm(on_arm, axis=-1).max(axis=1),
             hand_tilt=np.arccos(np.clip(cosine, -1.0, 1.0)),
-            hand_to_command=np.linalg.norm(self._command_position_w - hand_position_w, axis=-1),
+            hand_to_command=np.linalg.norm(self._command.position_w - hand_position_w, axis=-1),
         )
 
     @property
@@ -264,7 +260,7 @@ class OpenPressCloseBatch:
         Returns:
             Hand position, world, m, shape (num_envs, 3); joints, rad, shape (num_envs, 7).
         """
-        return self._command_position_w.copy(), self._command_q.copy()
+        return self._command.position_w.copy(), self._command.q.copy()
 
     def random_state(self) -> dict[str, object]:
         """JSON-serialisable state of the random streams."""
