@@ -54,7 +54,7 @@ SOURCES = (
     "skewmi/deploy/motion/*.py",
     "skewmi/deploy/limits.py",
     "skewmi/robot_models/*.py",
-    "benchmarks/planner_*.py",
+    "benchmarks/planner_[fjs]*.py",
 )
 """What a round's outcome depends on."""
 

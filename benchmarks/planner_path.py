@@ -145,7 +145,7 @@ def steps(arm: UrdfArm) -> list[dict[str, Any]]:
 
 
 def corners(arm: UrdfArm) -> list[dict[str, Any]]:
-    """Right angles in the planes xy, yz, zx and an oblique one, both ways round, and a zigzag."""
+    """Right angles in the planes xy, yz, zx and an oblique one, both ways round."""
     workspace = wide_workspace()
     middle = (np.array(workspace.low) + np.array(workspace.high)) / 2.0
     x, y, z = np.eye(3)
@@ -158,12 +158,19 @@ def corners(arm: UrdfArm) -> list[dict[str, Any]]:
             corner = middle + leg / 2 * (first - second)
             vertices = np.stack([corner - leg * first, corner, corner + leg * second])
             found.append(path_quality(arm, workspace, vertices, profile, speed))
-        # A corner with every control step but one.
-        way = [first if k % 2 else second for k in range(6) for first, second in [(y, z)]]
+    return found
+
+
+def zigzags(arm: UrdfArm) -> list[dict[str, Any]]:
+    """A right angle every other control step: harder than what the corners' bar asks for."""
+    workspace = wide_workspace()
+    middle = (np.array(workspace.low) + np.array(workspace.high)) / 2.0
+    _, y, z = np.eye(3)
+    found = []
+    for profile, speed in (("lab", 0.15), ("lab", 0.1), ("careful", 0.04)):
         length = 2 * CONTROL_DT * speed
-        vertices = np.cumsum(
-            [middle - 3 * length / 2 * (y + z), *(length * w for w in way)], axis=0
-        )
+        legs = [length * (y if k % 2 else z) for k in range(6)]
+        vertices = np.cumsum([middle - 1.5 * length * (y + z), *legs], axis=0)
         found.append(path_quality(arm, workspace, vertices, profile, speed))
     return found
 
