@@ -7,7 +7,7 @@ TORCH ?= torch==2.13.0
 BIN := $(VENV)/bin
 JOBS ?= 2
 
-.PHONY: demo test test-slow check format bench clean help
+.PHONY: demo test test-slow check format bench policy clean help
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
@@ -45,6 +45,11 @@ bench: $(VENV)/installed  ## every benchmark of a few minutes; results/ gets the
 	$(BIN)/python benchmarks/env.py --json --out results/env.json
 	$(BIN)/python benchmarks/sac.py --json --out results/sac.json
 	$(BIN)/python benchmarks/planner.py --json --out results/planner.json
+
+policy: $(VENV)/installed  ## train the bundled policy again (some 30 minutes) into runs/
+	$(BIN)/skewmi train --task open_press_close --run-dir runs/seed-0 --stop-on-convergence --resume
+	$(BIN)/skewmi train --start-from runs/seed-0 --run-dir runs/robust --twin randomised --steps 660000
+	$(BIN)/skewmi export-onnx runs/robust --out runs/open_press_close.onnx
 
 clean:
 	rm -rf build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache
