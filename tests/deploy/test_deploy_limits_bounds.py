@@ -295,6 +295,14 @@ def test_motions_in_progress_have_three_parts() -> None:
             CHECKER.check(*chunk, **{option: short})  # type: ignore[arg-type]
 
 
+def test_use_of_the_jerk_counts_in_both_directions() -> None:
+    for (joint, sign), factor in itertools.product(SIGNED_JOINTS, (0.01, 0.1, 0.3)):
+        q, v, a = still(2)
+        a[0, joint] = sign * factor * JERK * H
+        usage = CHECKER.check(q, v, a, previous=(q[0], v[0], a[0]))
+        assert usage.jerk == pytest.approx(factor, rel=1e-12)
+
+
 def test_usage_is_plain_numbers() -> None:
     """Of which reports and recordings are made."""
     usage = CHECKER.check(*still(4)).as_dict()
