@@ -35,7 +35,8 @@ sys.path.insert(0, str(BENCHMARKS))
 
 import planner_fuzz  # noqa: E402
 import planner_path  # noqa: E402
-from planner_judge import UrdfArm  # noqa: E402
+from planner_fuzz_round import run_round  # noqa: E402
+from planner_judge import Breach, Judge, UrdfArm  # noqa: E402
 
 START = np.array(yumi.PRESS_START_CONFIGURATION)
 NUMBER = st.floats(-1.0, 1.0)
@@ -158,7 +159,7 @@ def test_slow_limits_do_not_make_the_hand_swing() -> None:
 
 def test_an_arm_that_is_caught_gives_way_to_its_posture() -> None:
     """Near a singular posture with a joint at its bound the hand once swung around its target."""
-    result = planner_fuzz.run_round(280)
+    result = run_round(280)
     assert result["breach"] is None
     assert result["scene"] == "singular careful"
     assert result["return_mm"] < 1.0
@@ -192,7 +193,7 @@ def test_the_judge_sees_what_is_broken(broken: str) -> None:
         chunk = planner.step()
     q, v, a = chunk.q.copy(), chunk.v.copy(), chunk.a.copy()
     state = tuple(part[0].copy() for part in (q, v, a))
-    judge = planner_fuzz.Judge(bounds, workspace, UrdfArm())
+    judge = Judge(bounds, workspace, UrdfArm())
     judge.add((q, v, a), state)
     judge.settle()
     if broken == "jerk":
@@ -206,5 +207,5 @@ def test_the_judge_sees_what_is_broken(broken: str) -> None:
         q[:, 0] += 1.0
         state = q[0].copy(), *state[1:]
     judge.add((q, v, a), state)
-    with pytest.raises(planner_fuzz.Breach):
+    with pytest.raises(Breach):
         judge.settle()
