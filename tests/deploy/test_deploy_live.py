@@ -231,8 +231,9 @@ def test_viewer_that_dies_or_hangs_leaves_the_run_alone(
     assert report.episodes[0].steps == 60, report.as_dict()
     assert took_s < 45.0
     assert all("live view" in note for note in report.notes)
-    # The file beside the viewer is whole all the same.
-    assert rows(kept)["/policy/action/fields"] == 60, report.notes
+    # The file beside the viewer is whole all the same, up to the last drawing of 0.1 s: that one
+    # may be under way when the view of a hung viewer is given up.
+    assert rows(kept)["/policy/action/fields"] in (59, 60), report.notes
 
 
 def one_line(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> str:
