@@ -1,56 +1,25 @@
 """What the robot did to its surroundings while a policy acted: forces, tilt, tracking.
 
 The environment's diagnostics of every step, collected as an observer of `run_episodes` and
-reduced to distributions and to the share of episodes that stayed gentle all the way.
+reduced to distributions and to the share of episodes that stayed gentle all the way. The hand is
+where the joint sensors put it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skewmi.batch_env import BatchEnv, StepResult
+from skewmi.contact import QUANTITIES, STANDING_S
 from skewmi.errors import ConfigurationError
 from skewmi.policy_io import Array, PolicyLayout
 
 if TYPE_CHECKING:
     from skewmi.sim.open_press_close.diagnostics import Diagnostics
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """One measured size."""
-
-    label: str
-    """For people."""
-    limit: float | None
-    """Largest value of a gentle step, in the unit of the quantity's name; None sets none."""
-
-
-QUANTITIES: Mapping[str, Quantity] = {
-    "hand_force_peak_n": Quantity("hand force, peak of a step [N]", 100.0),
-    "hand_force_mean_n": Quantity("hand force, mean of a step [N]", None),
-    "hand_force_standing_n": Quantity("hand force, mean of 0.5 s [N]", 40.0),
-    "arm_force_peak_n": Quantity("arm force, peak of a step [N]", None),
-    "hand_tilt_deg": Quantity("hand tilt [deg]", 2.0),
-    "outside_box_mm": Quantity("hand outside its box [mm]", 3.0),
-    "hand_to_command_mm": Quantity("hand to its command [mm]", None),
-}
-"""What is measured in every step, by key of the JSON document, which ends with the unit.
-
-The peak is what the hand hits with, the mean over half a second what it stands against: half a
-second is where ISO/TS 15066 draws the line between transient and quasi-static contact. Forces on
-the arm leave the hand out. The box is the workspace that commands are clipped to; the hand,
-in the last three, is where the joint sensors put it.
-"""
-
-
-STANDING_S = 0.5
-"""Time over which a standing force is averaged, s."""
 
 
 @runtime_checkable

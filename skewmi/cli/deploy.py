@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +22,7 @@ from rich.console import Console
 from rich.table import Table
 
 from skewmi.cli.policies import twin_option
+from skewmi.contact import QUANTITIES
 from skewmi.deploy import run as deploy_run
 from skewmi.deploy.options import DeployOptions, LiveOptions
 from skewmi.deploy.policy import OnnxPolicy
@@ -140,6 +141,10 @@ def print_report(report: DeployReport, console: Console) -> None:
     }
     shown = ", ".join(f"{name} {value:.1%}" for name, value in fractions.items())
     console.print(f"largest share of limits ({report.limit_profile}): {shown}")
+    contact = report.contact()
+    if contact:
+        shown = "; ".join(_contact_words(name, figures) for name, figures in contact.items())
+        console.print(f"largest contact in the simulation: {shown}", markup=False)
     cycle = ", ".join(f"{name} {value:.2f}" for name, value in report.cycle_ms.items())
     pace = "lock-step" if report.lock_step else f"real time ({', '.join(report.granted)})"
     console.print(f"cycle, ms: {cycle}; missed {report.missed_cycles} of {report.cycles}; {pace}")
@@ -149,6 +154,12 @@ def print_report(report: DeployReport, console: Console) -> None:
         console.print(note, markup=False)
     for file in report.files:
         console.print(f"wrote {file}", markup=False)
+
+
+def _contact_words(name: str, figures: Mapping[str, float]) -> str:
+    label, _, unit = QUANTITIES[name].label.removesuffix("]").partition(" [")
+    of_limit = f" of {figures['limit']:.0f}" if "limit" in figures else ""
+    return f"{label} {figures['max']:.1f}{of_limit} {unit}"
 
 
 @contextmanager

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from skewmi.errors import TransportError
@@ -37,6 +37,8 @@ class EndpointDescription:
     """Where the plan ends, rad: the point a new commander's first chunk starts from."""
     limits: Mapping[str, tuple[float, ...]]
     """The bounds of the limit profile per joint, so that both sides can compare them."""
+    contact: Mapping[str, float] = field(default_factory=dict)
+    """Largest of `skewmi.contact.QUANTITIES` since the scene's last reset; empty if unknown."""
     scene: str = ""
     """Shapes of the scene, as `SceneGeometry.to_json`; only in answers to requests for it."""
 
@@ -56,6 +58,7 @@ class EndpointDescription:
             for name in ("joint_names", "layout_hashes"):
                 content[name] = tuple(content[name])
             content["commanded_position"] = tuple(map(float, content["commanded_position"]))
+            content["contact"] = {k: float(v) for k, v in content["contact"].items()}
             content["limits"] = {k: tuple(v) for k, v in content["limits"].items()}
             return EndpointDescription(**content)
         except (KeyError, TypeError, ValueError, AttributeError) as error:

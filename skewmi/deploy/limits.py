@@ -237,12 +237,16 @@ class ChunkChecker:
             raise LimitViolationError(
                 "joint position", float(q[k, worst]), float(bound), f"joint index {worst}"
             )
-        dv, da = np.diff(v, axis=0) / h, np.diff(a, axis=0) / h
-        dq = np.diff(q, axis=0) / h
-        ddv, ddq = np.diff(dv, axis=0) / h, np.diff(dq, axis=0) / h
-        velocity = _peak(v, dq)
-        acceleration = _peak(a, dv, ddq)
-        jerk = _peak(da, ddv, np.diff(ddq, axis=0) / h)
+        # All at once: this runs in every tick of the endpoint that brings a chunk.
+        samples = np.array((q, v, a))
+        first = np.diff(samples, axis=1) / h
+        second = np.diff(first[:2], axis=1) / h
+        third = np.diff(second[0], axis=0) / h
+        (_, v_peak, a_peak), (dq_peak, dv_peak, da_peak) = _peak(samples), _peak(first)
+        ddq_peak, ddv_peak = _peak(second)
+        velocity = np.maximum(v_peak, dq_peak)
+        acceleration = np.maximum(np.maximum(a_peak, dv_peak), ddq_peak)
+        jerk = np.maximum(np.maximum(da_peak, ddv_peak), _peak(third))
         _require("joint velocity", velocity, limits.velocity)
         _require("joint acceleration", acceleration, limits.acceleration)
         _require("joint jerk", jerk, limits.jerk)
@@ -250,20 +254,19 @@ class ChunkChecker:
             position=float((excursion / half).max()),
             velocity=float((velocity / limits.velocity).max()),
             acceleration=float((acceleration / limits.acceleration).max()),
-            jerk=float((_peak(da) / limits.jerk).max()),
+            jerk=float((da_peak / limits.jerk).max()),
         )
 
     def _check_consistency(self, q: Array, v: Array, a: Array) -> None:
         jerk, h = self.limits.jerk, self.grid_dt
-        q0, q1, v0, v1, a0, a1 = q[:-1], q[1:], v[:-1], v[1:], a[:-1], a[1:]
-        # 1e-12 of absolute room: at 5 rad a double resolves 1e-15.
-        v_bound = jerk * h * h / 2.0 + 1e-12
-        _require("velocity against acceleration", _peak(v1 - v0 - a0 * h), v_bound)
-        _require("velocity against acceleration", _peak(v0 - v1 + a1 * h), v_bound)
-        q_bound = jerk * h**3 / 6.0 + 1e-12
-        half = h * h / 2.0
-        _require("position against velocity", _peak(q1 - q0 - v0 * h - a0 * half), q_bound)
-        _require("position against velocity", _peak(q0 - q1 + v1 * h - a1 * half), q_bound)
+        v0, v1, a0, a1 = v[:-1], v[1:], a[:-1], a[1:]
+        dq, dv, half = q[1:] - q[:-1], v1 - v0, h * h / 2.0
+        # From each sample to the next, and from that one back. 1e-12 of absolute room: at 5 rad a
+        # double resolves 1e-15.
+        off_v = np.concatenate((dv - a0 * h, dv - a1 * h))
+        _require("velocity against acceleration", _peak(off_v), jerk * half + 1e-12)
+        off_q = np.concatenate((dq - v0 * h - a0 * half, dq - v1 * h + a1 * half))
+        _require("position against velocity", _peak(off_q), jerk * h**3 / 6.0 + 1e-12)
 
     def _check_hand(self, q: Array, usage: LimitUsage) -> LimitUsage:
         assert self._forward is not None
@@ -286,9 +289,9 @@ class ChunkChecker:
         return usage.merged(use)
 
 
-def _peak(*arrays: Array) -> Array:
-    """Largest absolute value per joint over arrays (n, 7); zero without rows. Shape (7,)."""
-    peak: Array = np.max([np.abs(array).max(axis=0, initial=0.0) for array in arrays], axis=0)
+def _peak(samples: Array) -> Array:
+    """Largest absolute value per joint, (..., n, 7) -> (..., 7); zero where n is."""
+    peak: Array = np.abs(samples).max(axis=-2, initial=0.0)
     return peak
 
 

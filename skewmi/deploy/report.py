@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from skewmi.contact import QUANTITIES
 from skewmi.deploy.limits import LimitUsage
 
 
@@ -19,6 +20,8 @@ class EpisodeReport:
         steps: Control steps that the policy was asked for.
         seed: Of the start position.
         final_observation: By field name, in the field's unit.
+        contact: Largest of `skewmi.contact.QUANTITIES` in the episode, the way to the start
+            included; empty if the robot cannot tell.
     """
 
     index: int
@@ -27,6 +30,7 @@ class EpisodeReport:
     steps: int
     seed: int
     final_observation: dict[str, float]
+    contact: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass
@@ -67,6 +71,20 @@ class DeployReport:
     def faulted(self) -> bool:
         return any(episode.outcome == "fault" for episode in self.episodes)
 
+    def contact(self) -> dict[str, dict[str, float]]:
+        """Per quantity that the robot told: "max" over the episodes, and if it has a limit, "limit"
+        and "share_of_episodes_within"."""
+        figures: dict[str, dict[str, float]] = {}
+        for name, quantity in QUANTITIES.items():
+            values = [e.contact[name] for e in self.episodes if name in e.contact]
+            if not values:
+                continue
+            figures[name] = {"max": max(values)}
+            if quantity.limit is not None:
+                within = sum(value <= quantity.limit for value in values) / len(values)
+                figures[name] |= {"limit": quantity.limit, "share_of_episodes_within": within}
+        return figures
+
     def as_dict(self) -> dict[str, Any]:
         """JSON-serialisable, for `--json`; limits as fractions, times in ms."""
         content = asdict(self)
@@ -77,5 +95,6 @@ class DeployReport:
             "successes": self.successes,
             "success_rate": self.success_rate,
             "faulted": self.faulted,
+            "contact": self.contact(),
             **content,
         }

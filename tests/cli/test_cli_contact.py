@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from skewmi.cli.contact import (
-    QUANTITIES,
     ContactRecorder,
     contact_text,
     recorder_for,
     summarise_contact,
 )
+from skewmi.contact import QUANTITIES
 from skewmi.errors import ConfigurationError
 from skewmi.export.rollout import run_episodes
 from skewmi.policy_io import Array, PolicyLayout

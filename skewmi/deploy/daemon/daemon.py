@@ -221,8 +221,9 @@ class Daemon:
             go_on = False
             self._fire(DaemonEvent.FAULT, f"{type(error).__name__}: {error}")
         outcome, reason = self._machine.state, self._machine.reason
+        at_rest = None
         try:
-            self._robot.stop()
+            at_rest = self._robot.stop()
         except SkewmiError as error:
             go_on = False
             outcome, reason = DaemonState.FAULT, f"{reason}; then {error}"
@@ -234,7 +235,10 @@ class Daemon:
             self._report.stops.append(reason)
         names = self._layout.observation_names[: len(final)]
         values = dict(zip(names, map(float, final), strict=True))
-        self._report.episodes.append(EpisodeReport(index, words, reason, steps, seed, values))
+        contact = {} if at_rest is None else dict(at_rest.contact)
+        self._report.episodes.append(
+            EpisodeReport(index, words, reason, steps, seed, values, contact)
+        )
         self._on_event(f"episode {index + 1}: {words} after {steps} steps ({reason})")
         return go_on and not self._stop.is_set()
 

@@ -139,23 +139,27 @@ class RobotClient:
             self._note_refusals(status)
         return np.array(description.commanded_position)
 
-    def stop(self) -> None:
+    def stop(self) -> EndpointDescription | None:
         """Stop and disarm, and wait until the tail has been followed to its end.
 
         Does nothing unless we armed the endpoint: nobody else's run is ended by our failure.
+
+        Returns:
+            What the endpoint says at rest; None if there was nothing to stop.
 
         Raises:
             TransportError: It does not answer, or does not come to rest.
         """
         if not self._armed:
-            return
+            return None
         deadline = time.monotonic() + REST_TIMEOUT_S
         self._call(topics.YUMI_STOP, self._who.encode())
-        while self.describe().state not in _RESTING:
+        while (description := self.describe()).state not in _RESTING:
             if time.monotonic() > deadline:
                 raise TransportError(f"the arm does not rest within {REST_TIMEOUT_S:g} s")
             time.sleep(0.005)
         self._armed = False
+        return description
 
     def _news(self) -> list[Status]:
         """What the endpoint has said, oldest first, since it first named us its commander.

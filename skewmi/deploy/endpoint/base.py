@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import secrets
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -62,6 +63,9 @@ class RobotBackend(Protocol):
     """Shapes around the robot for replays, as `SceneGeometry.to_json`; empty if unknown."""
     simulated: bool
     """Whether the scene can be reset by a message."""
+
+    def contact(self) -> Mapping[str, float]:
+        """Largest of `skewmi.contact.QUANTITIES` since the scene's last reset; empty if unknown."""
 
     def measure(self) -> Measurement:
         """Present state; the arrays are not written to afterwards."""

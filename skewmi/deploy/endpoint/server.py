@@ -259,6 +259,7 @@ class EndpointServer:
             joint_names=backend.joint_names,
             commanded_position=controller.commanded_position(),
             limits=limit_values(limits),
+            contact=backend.contact(),
             scene=backend.scene_json if with_scene else "",
         )
 

@@ -10,13 +10,18 @@ import mujoco
 import numpy as np
 
 from skewmi.deploy.endpoint.base import GRID_NS, BackendFaultError, Measurement
+from skewmi.deploy.endpoint.contact_meter import ContactMeter
 from skewmi.deploy.endpoint.executor import PlanPoint
 from skewmi.deploy.recording.scene_geometry import SceneGeometry
 from skewmi.errors import CommandRefusedError, ConfigurationError, NotFoundError
 from skewmi.policy_io import Array, PolicyLayout
 from skewmi.robot_models import yumi
 from skewmi.sim.open_press_close.definition import FINGER_MAX, make_layout
-from skewmi.sim.open_press_close.scene import OpenPressCloseScene, workspace_of
+from skewmi.sim.open_press_close.scene import (
+    OpenPressCloseScene,
+    hand_rotation,
+    workspace_of,
+)
 from skewmi.sim.open_press_close.twin_fields import (
     SensorErrors,
     delay_substeps,
@@ -90,6 +95,11 @@ class SimTwin:
         self._finger_dof = np.array(
             [int(self.scene.model.joint(name).dofadr[0]) for name in yumi.finger_names("right")]
         )
+        workspace = workspace_of(self.layout)
+        self._hand_site = int(self.scene.model.site(yumi.tool_name("right")).id)
+        self._contact = ContactMeter(
+            np.array(workspace.low), np.array(workspace.high), hand_rotation(workspace)
+        )
         self._twin = resolve(twin)
         self._nominal_model = copy.copy(self.scene.model)
         self._opening_error = 0.0
@@ -143,6 +153,23 @@ class SimTwin:
         if raised:
             raise BackendFaultError(f"the simulation raised {', '.join(raised)}")
         self._read_sensors()
+        self._note_contact()
+
+    def contact(self) -> dict[str, float]:
+        """Largest forces on hand and arm, tilt and excess of the box since the scene's reset.
+
+        Of every physics step, and of the true pose, not of what the sensors say.
+        """
+        return self._contact.summary()
+
+    def _note_contact(self) -> None:
+        data, scene = self._data, self.scene
+        self._contact.add(
+            data.sensordata[scene.hand_force],
+            data.sensordata[scene.arm_force],
+            data.site_xpos[self._hand_site],
+            data.site_xmat[self._hand_site],
+        )
 
     def open_gripper(self, opening: float) -> None:
         """Move each finger to `opening` m from closed.
@@ -182,6 +209,7 @@ class SimTwin:
             mujoco.mj_forward(self.scene.model, self._data)
         self._hold()
         self._read_sensors()
+        self._contact.clear()
         start = np.array(workspace_of(self.layout).start_configuration)
         q = self._data.qpos[self.scene.arm_qpos].copy()
         # The start position decides; its configuration is the posture that inverse kinematics
