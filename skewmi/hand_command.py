@@ -21,8 +21,10 @@ import numpy as np
 from skewmi.errors import ConfigurationError
 from skewmi.policy_io import Array, PolicyLayout
 
-EXPLAINED_DELAY = 0.3
-"""Delay of an arm behind its command that is not taken for an obstacle, control steps."""
+EXPLAINED_DELAY = 0.4
+"""Delay of an arm behind its command that is not taken for an obstacle, control steps. With those
+of 0.1 s it is 40 ms, as late as users of ABB's externally guided motion report tuned arms to be
+(abb_libegm, issue 49); with 0.47 and more the first contact would lead by a full action."""
 FADING = 0.8
 """Of a remembered stall per control step."""
 NOTICED_STALL = 0.6
