@@ -60,7 +60,12 @@ class Target:
 TARGETS = (
     Target(
         "skewmi/deploy/limits.py",
-        ("test_deploy_limits_bounds.py", "test_deploy_limits_hand.py", "test_deploy_limits.py"),
+        (
+            "test_deploy_limits_bounds.py",
+            "test_deploy_limits_ends.py",
+            "test_deploy_limits_hand.py",
+            "test_deploy_limits.py",
+        ),
     ),
     Target(
         "skewmi/deploy/endpoint/validation.py",

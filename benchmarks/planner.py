@@ -81,13 +81,14 @@ class Cycle:
         self._rng = np.random.default_rng(seed)
         self.count = self.continued = 0
         self.state = START, np.zeros(7), np.zeros(7)
+        self.earlier = np.tile(START, (3, 1))
         # As the daemon does: the first message of each length is laid out slowly.
         for samples in range(2, 120):
             self._encode(np.zeros((samples, 7)), np.zeros((samples, 7)), np.zeros((samples, 7)))
 
-    def run(self) -> tuple[PlannedChunk, tuple[Array, Array, Array], Seconds]:
-        """One cycle: its chunk, the state it started from, and how long it took."""
-        planner, times, state = self.planner, self._times, self.state
+    def run(self) -> tuple[PlannedChunk, tuple[Array, Array, Array], Array, Seconds]:
+        """One cycle: its chunk, the state it started from, positions before, time it took."""
+        planner, times, state, earlier = self.planner, self._times, self.state, self.earlier
         cpu, wall = time.thread_time(), time.perf_counter()
         if self.count % STEPS == 0:
             target = planner.command_position + self._rng.uniform(-0.015, 0.015, 3)
@@ -95,7 +96,7 @@ class Cycle:
         with times.of("plan"):
             chunk = planner.step()
         with times.of("check"):
-            self._checker.check(chunk.q, chunk.v, chunk.a, state)
+            self._checker.check(chunk.q, chunk.v, chunk.a, state, earlier=earlier)
         with times.of("guard"):
             self.guard.check(chunk.q, chunk.v, chunk.a)
         with times.of("encode"):
@@ -103,8 +104,8 @@ class Cycle:
         took = time.perf_counter() - wall, time.thread_time() - cpu
         self.count += 1
         self.continued += chunk.continued is not None
-        self.state = chunk.state(STEPS)
-        return chunk, state, took
+        self.state, self.earlier = chunk.state(STEPS), chunk.q[STEPS - 3 : STEPS]
+        return chunk, state, earlier, took
 
     def _encode(self, q: Array, v: Array, a: Array) -> None:
         grid_ns = np.arange(len(q), dtype=np.int64) * 4_000_000
@@ -122,7 +123,7 @@ def measure_cycles(cycles: int, seed: int) -> dict[str, Any]:
         pace = Pace(CYCLE_S)
         for _ in range(cycles):
             pace.wait()
-            whole.append(cycle.run()[2])
+            whole.append(cycle.run()[-1])
             pace.done()
             times.end_round()
     figures = percentiles(whole)
@@ -144,10 +145,10 @@ def measure_ratio(cycles: int, seed: int) -> dict[str, Any]:
     bare = BareCalls(cycle.workspace, cycle.bounds)
     with hot_loop(priority=False):
         for _ in range(cycles):
-            chunk, state, took = cycle.run()
+            chunk, state, earlier, took = cycle.run()
             whole.append(took)
             times.end_round()
-            bare.run(chunk, state, bare_times)
+            bare.run(chunk, state, earlier, bare_times)
             bare_times.end_round()
     calls = bare_times.figures()
     cycle_ms = percentiles(whole)["cpu_p50_ms"]

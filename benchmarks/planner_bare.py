@@ -119,9 +119,14 @@ class BareCalls:
         self._checker = ChunkChecker(bounds, workspace, self._kinematics.forward)
 
     def run(
-        self, chunk: PlannedChunk, state: tuple[Array, Array, Array], times: StageTimes
+        self,
+        chunk: PlannedChunk,
+        state: tuple[Array, Array, Array],
+        earlier: Array,
+        times: StageTimes,
     ) -> None:
-        """Time every library's calls for the cycle that planned `chunk` from `state`."""
+        """Time every library's calls for the cycle that planned `chunk` from `state`, at which the
+        three positions `earlier` led."""
         q, v, a = chunk.q, chunk.v, chunk.a
         position, _ = self._kinematics.forward(q[: STEPS + 1])
         targets = [self._mink.target(p) for p in position[1:] + 0.01]
@@ -148,7 +153,7 @@ class BareCalls:
             stop.sample(GRID_DT)
             stop.extent()
         with times.of("check"):
-            self._checker.check(q, v, a, state)
+            self._checker.check(q, v, a, state, earlier=earlier)
         with times.of("position_guard"):
             self._kinematics.forward(q)
 

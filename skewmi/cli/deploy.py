@@ -3,7 +3,8 @@
 Without `--connect` a simulated robot is started in a process of its own and ended afterwards.
 Ctrl-C brakes the arm smoothly; so does killing this process, because whatever the endpoint has
 accepted ends at rest. Exit code 0 if all episodes ran to their end (however many succeeded), 1 if
-one was stopped or faulted, 2 for bad input, 130 after Ctrl-C or SIGTERM.
+one was stopped or faulted or a file is not whole, 2 for bad input, 130 after Ctrl-C, SIGTERM or
+SIGHUP.
 """
 
 from __future__ import annotations
@@ -12,15 +13,17 @@ import json
 import signal
 import threading
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
+from skewmi.cli.interrupt import ENDING_SIGNALS
 from skewmi.cli.policies import twin_option
 from skewmi.contact import QUANTITIES
 from skewmi.deploy import run as deploy_run
@@ -84,6 +87,11 @@ def deploy_policy(options: DeployCommand) -> DeployReport:
             raise ConfigurationError(f"{file} exists; give another file or --overwrite")
     live = LiveOptions(options.live, options.live_connect, options.live_out)
     console = Console(stderr=True)
+
+    def tell(text: str) -> None:
+        with suppress(OSError):  # The terminal may be gone; the arm comes first.
+            console.print(text, highlight=False, markup=False)
+
     with _stop_on_interrupt() as stop:
         return deploy_run.run_deploy(
             policy,
@@ -105,7 +113,7 @@ def deploy_policy(options: DeployCommand) -> DeployReport:
                 zenoh_config=options.zenoh_config,
             ),
             stop=stop,
-            on_event=lambda text: console.print(text, highlight=False, markup=False),
+            on_event=tell,
         )
 
 
@@ -118,7 +126,7 @@ def run_deploy(options: DeployCommand) -> int:
         print_report(report, Console())
     if report.interrupted:
         return 130
-    return 1 if report.stops else 0
+    return 1 if report.stops or report.broken_files else 0
 
 
 def print_report(report: DeployReport, console: Console) -> None:
@@ -127,8 +135,12 @@ def print_report(report: DeployReport, console: Console) -> None:
     for heading in ("episode", "outcome", "steps", "reason"):
         table.add_column(heading, justify="right" if heading in ("episode", "steps") else "left")
     for episode in report.episodes:
-        table.add_row(str(episode.index + 1), episode.outcome, str(episode.steps), episode.reason)
+        table.add_row(
+            str(episode.index + 1), episode.outcome, str(episode.steps), escape(episode.reason)
+        )
     console.print(table)
+    if report.dry_run:
+        console.print("dry run: nothing was sent, the arm did not move")
     count = len(report.episodes)
     console.print(f"success rate {report.success_rate:.1%} ({report.successes} of {count})")
     usage = report.usage
@@ -140,7 +152,10 @@ def print_report(report: DeployReport, console: Console) -> None:
         "hand speed": usage.tcp_speed,
     }
     shown = ", ".join(f"{name} {value:.1%}" for name, value in fractions.items())
-    console.print(f"largest share of limits ({report.limit_profile}): {shown}")
+    profile = report.limit_profile
+    if report.velocity_share < 1.0:
+        profile += f", velocity at most {report.velocity_share:.0%} of full"
+    console.print(f"largest share of limits ({profile}): {shown}")
     contact = report.contact()
     if contact:
         shown = "; ".join(_contact_words(name, figures) for name, figures in contact.items())
@@ -152,6 +167,8 @@ def print_report(report: DeployReport, console: Console) -> None:
         console.print(f"stopped: {stop}", markup=False)
     for note in report.notes:
         console.print(note, markup=False)
+    for file in report.broken_files:
+        console.print(f"not whole: {file}", markup=False)
     for file in report.files:
         console.print(f"wrote {file}", markup=False)
 
@@ -164,9 +181,13 @@ def _contact_words(name: str, figures: Mapping[str, float]) -> str:
 
 @contextmanager
 def _stop_on_interrupt() -> Iterator[threading.Event]:
-    """An event that the first Ctrl-C or SIGTERM sets; a second one ends the process at once."""
+    """An event that the first Ctrl-C, SIGTERM or SIGHUP sets; a second one ends the process."""
     stop = threading.Event()
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {
+        number: handler
+        for number in ENDING_SIGNALS
+        if (handler := signal.getsignal(number)) is not signal.SIG_IGN
+    }
 
     def restore() -> None:
         for number, handler in before.items():

@@ -13,7 +13,7 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from logging.handlers import QueueHandler, QueueListener
 from pathlib import Path
@@ -22,6 +22,7 @@ from typing import Literal
 
 from rich.console import Console
 
+from skewmi.cli.interrupt import ENDING_SIGNALS
 from skewmi.deploy.description import EndpointDescription
 from skewmi.deploy.endpoint.run import SimEndpointOptions, run_sim_endpoint
 from skewmi.deploy.wire.transport import TransportConfig
@@ -59,8 +60,10 @@ def run_robot(options: RobotCommand) -> int:
         options.listen, lock_step=options.lock_step, zenoh_config=options.zenoh_config
     )
     stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+    for number in ENDING_SIGNALS:
+        # Unless it is ignored already, as under nohup.
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, lambda *_: stop.set())
     if options.end_with_input:
         threading.Thread(target=_wait_for_end_of_input, args=(stop,), daemon=True).start()
     console = Console(stderr=True)
@@ -88,7 +91,8 @@ def run_robot(options: RobotCommand) -> int:
             stop,
             on_ready=ready,
         )
-    console.print("arm at rest, endpoint ended", highlight=False)
+    with suppress(OSError):  # The terminal may be gone.
+        console.print("arm at rest, endpoint ended", highlight=False)
     return 0
 
 
@@ -101,7 +105,8 @@ def _log_told(console: Console) -> Iterator[None]:
 
     class Teller(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
-            console.print(self.format(record), highlight=False, markup=False)
+            with suppress(OSError):  # The terminal may be gone; the robot goes on.
+                console.print(self.format(record), highlight=False, markup=False)
 
     records: SimpleQueue[logging.LogRecord] = SimpleQueue()
     logger, handler = logging.getLogger("skewmi"), QueueHandler(records)

@@ -14,9 +14,6 @@ from pathlib import Path
 from skewmi.deploy.description import EndpointDescription
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.transport import Link, TransportConfig
-from skewmi.errors import TransportError
-
-_RESTING = ("disarmed", "fault")
 
 
 @dataclass(frozen=True)
@@ -38,16 +35,17 @@ def run_stop(options: StopCommand) -> int:
     """Stop the arm. Returns 0 if it rests disarmed, 1 if not in time or in fault."""
     config = TransportConfig.for_client(options.connect, zenoh_config=options.zenoh_config)
     with Link.open(config, f"skewmi_stop_{os.getpid()}") as link:
-        reply = link.call(topics.YUMI_STOP, options.timeout_s, b"skewmi stop")
-        if not reply.success:
-            raise TransportError(f"the endpoint did not stop: {reply.message}")
         deadline = time.monotonic() + options.timeout_s
+        link.call(topics.YUMI_STOP, options.timeout_s, b"skewmi stop")
         while True:
             answer = link.call(topics.YUMI_DESCRIBE, options.timeout_s)
             description = EndpointDescription.from_json(answer.message)
-            if description.state in _RESTING or time.monotonic() > deadline:
+            if description.state == "disarmed" or time.monotonic() > deadline:
                 break
             time.sleep(0.02)
+            if description.state == "fault":
+                # It is acknowledged once the arm rests, not before.
+                link.call(topics.YUMI_STOP, options.timeout_s, b"skewmi stop")
     if options.json:
         print(json.dumps({"state": description.state, "reason": description.reason}))
     else:

@@ -35,6 +35,8 @@ class EndpointDescription:
     joint_names: tuple[str, ...]
     commanded_position: tuple[float, ...]
     """Where the plan ends, rad: the point a new commander's first chunk starts from."""
+    stops: int
+    """How often somebody has asked to stop since the endpoint started."""
     limits: Mapping[str, tuple[float, ...]]
     """The bounds of the limit profile per joint, so that both sides can compare them."""
     contact: Mapping[str, float] = field(default_factory=dict)
@@ -58,6 +60,7 @@ class EndpointDescription:
             for name in ("joint_names", "layout_hashes"):
                 content[name] = tuple(content[name])
             content["commanded_position"] = tuple(map(float, content["commanded_position"]))
+            content["stops"] = int(content["stops"])
             content["contact"] = {k: float(v) for k, v in content["contact"].items()}
             content["limits"] = {k: tuple(v) for k, v in content["limits"].items()}
             return EndpointDescription(**content)

@@ -103,6 +103,7 @@ class Guard:
         for side in yumi.ARMS:
             for name in yumi.finger_names(side):
                 fixed[full.joints[full.getJointId(name)].idx_q] = opening
+        torso = {shape.name for shape in shapes.geometryObjects if shape.parentJoint == 0}
         arm = yumi.joint_names("right")
         locked = [i for i in range(1, full.njoints) if full.names[i] not in arm]
         self._model, self._shapes = pinocchio.buildReducedModel(full, shapes, locked, fixed)
@@ -115,7 +116,7 @@ class Guard:
         self._data = self._model.createData()
         self._tool = self._model.getFrameId(yumi.tool_name("right"))
         self._add_table()
-        self._add_pairs()
+        self._add_pairs(torso)
         self._shape_data = pinocchio.GeometryData(self._shapes)
         self._reach = self._reaches()
         self._measured_at = np.zeros(7)
@@ -265,15 +266,17 @@ class Guard:
         )
         self._table = self._shapes.addGeometryObject(table)
 
-    def _add_pairs(self) -> None:
-        """Right arm against everything that is at least three joints away from it.
+    def _add_pairs(self, torso: set[str]) -> None:
+        """Right arm against the left one, torso and table, and against itself.
 
-        Neighbours and links two apart touch in every pose by construction, as do torso and the
-        first two links; the table is no neighbour of anything but them.
+        Left out is what touches by construction: links one and two joints apart, and the first
+        link, which turns in the torso.
         """
-        parents = [int(shape.parentJoint) for shape in self._shapes.geometryObjects]
-        for i, first in enumerate(parents):
-            for j in range(i):
-                pair = sorted((first, parents[j]))
-                if pair[1] - pair[0] >= 3:
+        shapes = list(self._shapes.geometryObjects)
+        for i, first in enumerate(shapes):
+            for j, second in enumerate(shapes[:i]):
+                fixed, moved = sorted((first, second), key=lambda shape: int(shape.parentJoint))
+                near, far = int(fixed.parentJoint), int(moved.parentJoint)
+                built_together = far - near < 3 if near else far == 1 and fixed.name in torso
+                if far and not built_together:
                     self._shapes.addCollisionPair(pinocchio.CollisionPair(j, i))

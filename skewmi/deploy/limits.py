@@ -14,7 +14,9 @@ likewise backwards in time (h -> -h),
 
 so a chunk cannot state harmless velocities beside positions that jump. Differences of the samples
 (first, second and third of q, and so on) are averages of v, a and jerk over the grid and must obey
-the same bounds; they are what a receiver that only reads positions will do with them.
+the same bounds; they are what a receiver that only reads positions will do with them. That holds
+across the ends of a chunk, too: before its first sample there is the motion that it continues, and
+after its last one there is rest.
 """
 
 from __future__ import annotations
@@ -136,6 +138,7 @@ class ChunkChecker:
         previous: tuple[Array, Array, Array] | None = None,
         *,
         before: tuple[Array, Array, Array] | None = None,
+        earlier: Array | None = None,
         joint_names: Sequence[str] | None = None,
         time_from_start_ns: NDArray[np.int64] | None = None,
     ) -> LimitUsage:
@@ -150,6 +153,9 @@ class ChunkChecker:
                 at rest, unless `before` is given.
             before: The same one grid step earlier; the limits are then checked across the
                 splice as well.
+            earlier: Positions of the motion in progress at the three grid steps before the first
+                sample, oldest first, rad; None leaves differences across the start unchecked
+                unless the chunk starts at rest. Shape (3, 7).
             joint_names: As received; None if the chunk did not come over the wire.
             time_from_start_ns: As received, shape (n,); None likewise.
 
@@ -164,7 +170,9 @@ class ChunkChecker:
         self._check_form(q, v, a)
         if time_from_start_ns is not None:
             self._check_times(time_from_start_ns, len(q))
-        self._check_ends(q, v, a, previous, from_rest=previous is None and before is None)
+        from_rest = previous is None and before is None
+        self._check_ends(q, v, a, previous, from_rest=from_rest)
+        inside, at_rest_before = q, q[[0, 0, 0]]
         if before is not None:
             for part in before:
                 if not np.isfinite(part).all():
@@ -172,6 +180,9 @@ class ChunkChecker:
             q, v, a = (np.vstack(pair) for pair in zip(before, (q, v, a), strict=True))
         usage = self._check_joints(q, v, a)
         self._check_consistency(q, v, a)
+        if earlier is None and from_rest:
+            earlier = at_rest_before
+        self._check_across(inside, earlier)
         return usage if self._forward is None else self._check_hand(q, usage)
 
     def _check_names(self, names: Sequence[str]) -> None:
@@ -221,6 +232,23 @@ class ChunkChecker:
             if not np.isfinite(jump).all():
                 raise LimitViolationError("finite numbers", float("nan"), 0.0, "previous motion")
             _require(f"{name} jump at the splice", jump, np.full(7, tolerance), 0.0)
+
+    def _check_across(self, q: Array, earlier: Array | None) -> None:
+        """Second and third differences of positions that reach over an end of the chunk."""
+        last = q[-1]
+        ends = [(*q[-3:], last, last, last)]
+        if earlier is not None:
+            if not np.isfinite(earlier).all():
+                raise LimitViolationError("finite numbers", float("nan"), 0.0, "earlier motion")
+            ends.append((*earlier, *q[:3]))
+        h = self.grid_dt
+        second = np.diff(ends, n=2, axis=1)
+        third = np.diff(second, axis=1)
+        # 1e-12 of absolute room for each of the four and eight positions that a difference is of.
+        a_bound = self.limits.acceleration * h * h + 4e-12
+        j_bound = self.limits.jerk * h**3 + 8e-12
+        _require("position step of acceleration over an end", _peak(second).max(axis=0), a_bound)
+        _require("position step of jerk over an end", _peak(third).max(axis=0), j_bound)
 
     def _check_joints(self, q: Array, v: Array, a: Array) -> LimitUsage:
         limits, h = self.limits, self.grid_dt

@@ -78,6 +78,8 @@ class DeployOptions:
     def __post_init__(self) -> None:
         if self.episodes < 1:
             raise ConfigurationError(f"episodes is {self.episodes}; it must be at least 1")
+        if self.seed < 0:
+            raise ConfigurationError(f"seed is {self.seed}; it must not be negative")
         if self.twin is not None and (self.connect or self.zenoh_config) is not None:
             raise ConfigurationError(
                 "a twin is of the simulated robot; give --twin to the skewmi robot that --connect "

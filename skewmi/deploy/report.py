@@ -41,10 +41,14 @@ class DeployReport:
     robot: str
     limit_profile: str
     speed: float
+    """Share of the training's speed at which the policy acted: control steps take whole planner
+    cycles."""
     lock_step: bool
     dry_run: bool = False
     planned_episodes: int = 0
     episodes: list[EpisodeReport] = field(default_factory=list)
+    velocity_share: float = 1.0
+    """Share of full velocity that motion was planned with; `usage` is of the limits so reduced."""
     usage: LimitUsage = field(default_factory=LimitUsage)
     """Largest use of each limit over all chunks that were sent, braking tails included."""
     cycles: int = 0
@@ -55,6 +59,8 @@ class DeployReport:
     """Reasons of every episode that was stopped or ended in a fault."""
     granted: list[str] = field(default_factory=list)
     """What the operating system granted to the loop."""
+    broken_files: list[str] = field(default_factory=list)
+    """Files that were asked for and are not whole; the notes say why."""
     files: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     interrupted: bool = False

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import replace
 
 from skewmi.deploy.daemon.daemon import Daemon
@@ -19,7 +19,7 @@ from skewmi.deploy.replay.live import LiveView
 from skewmi.deploy.report import DeployReport
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.transport import Link, TransportConfig
-from skewmi.errors import LayoutMismatchError
+from skewmi.errors import LayoutMismatchError, TransportError
 from skewmi.policy_io import Policy
 from skewmi.robot_models import limits as joint_limits
 from skewmi.robot_models import yumi
@@ -65,6 +65,7 @@ def run_deploy(
         speed=options.speed,
         lock_step=options.lock_step,
         dry_run=options.dry_run,
+        velocity_share=options.speed,
         planned_episodes=options.episodes,
     )
     endpoint: AbstractContextManager[str | None]
@@ -84,7 +85,6 @@ def run_deploy(
             daemon = Daemon(policy, options, link, report, stop, tell)
             with _beside(options, policy, link, config, report):
                 daemon.run()
-    report.interrupted = stop.is_set()
     return report
 
 
@@ -138,10 +138,22 @@ def _recording(
     if options.record is None:
         yield
         return
-    with Recorder(options.record, client, metadata, overwrite=options.overwrite) as recorder:
+    recorder = Recorder(options.record, client, metadata, overwrite=options.overwrite)
+    try:
         yield
+    except BaseException:
+        # What went wrong first matters more than what went wrong with the recording.
+        with suppress(TransportError):
+            recorder.close()
+        raise
+    try:
         recorder.add_metadata({"report": json.dumps(report.as_dict())})
         summary = recorder.close()
+    except TransportError as error:
+        # What the arm did is told even if the file is lost.
+        report.broken_files.append(str(options.record))
+        report.notes.append(str(error))
+        return
     report.files.append(str(summary.path))
     if summary.missed:
         report.notes.append(f"the recording lacks {summary.missed} messages")

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from scripted_open_press_close import ScriptedOpenPressClose
 
+from skewmi.cli.interrupt import ENDING_SIGNALS
 from skewmi.cli.main import main
 from skewmi.deploy.daemon.endpoint_process import free_port, sim_endpoint_process
 from skewmi.deploy.description import EndpointDescription
@@ -239,7 +240,7 @@ def test_nobody_there_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_port_in_use_is_one_line(robot: str, capsys: pytest.CaptureFixture[str]) -> None:
-    handlers = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)}
+    handlers = {n: signal.getsignal(n) for n in ENDING_SIGNALS}
     try:
         assert main(["robot", "--listen", robot]) == 2
     finally:

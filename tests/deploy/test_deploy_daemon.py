@@ -214,7 +214,7 @@ def test_endpoint_tells_each_change_of_state_and_what_it_was_granted(tiny: Path)
     assert "real-time loop: gc frozen" in told
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_interrupted_command_exits_130(tiny: Path, number: signal.Signals) -> None:
     command = [sys.executable, "-m", "skewmi.cli.main", "deploy", str(tiny), "--json"]
     child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -243,6 +243,7 @@ def description(**changes: Any) -> EndpointDescription:
         clock_ns=0,
         joint_names=NAMES,
         commanded_position=(0.1 + 0.2,) * 7,
+        stops=3,
         limits=limit_values(LAB),
     )
     return replace(base, **changes)
@@ -324,7 +325,7 @@ def test_whole_way_to_the_start_is_checked_before_anything_moves() -> None:
     check_way(q_goal + 0.02, q_goal, LAB, checks)
     # Both ends are clear by more than is asked for; the way leads past the other arm.
     guard = Guard(LAB, clearance=0.02)
-    checks = SimpleNamespace(stages=[("guard", lambda q, v, a, present: guard.check(q, v, a))])
+    checks = SimpleNamespace(stages=[("guard", lambda q, v, a, *motion: guard.check(q, v, a))])
     ends = [-2.5, -1.4, -0.4, 1.2, 0.6, -0.5, -2.0], [1.3, -2.4, 1.5, -0.3, 4.3, -1.2, 2.7]
     for end in map(np.array, ends):
         guard.check(np.tile(end, (6, 1)), np.zeros((6, 7)), np.zeros((6, 7)))

@@ -8,14 +8,18 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from skewmi.deploy.endpoint.base import GRID_NS, BackendFaultError
-from skewmi.deploy.endpoint.controller import LEASE_NS, EndpointController
+from skewmi.deploy.endpoint.controller import LEASE_NS, EndpointController, Refusal
 from skewmi.deploy.endpoint.executor import PlanExecutor, PlanPoint
 from skewmi.deploy.endpoint.run import limit_check
 from skewmi.deploy.endpoint.sim_twin import SimTwin
 from skewmi.deploy.endpoint.states import EndpointState
-from skewmi.deploy.endpoint.validation import ChunkValidator, ValidationRules
+from skewmi.deploy.endpoint.validation import (
+    MAX_CHUNK_BYTES,
+    ChunkValidator,
+    ValidationRules,
+)
 from skewmi.deploy.motion.start_motion import StartMotion
-from skewmi.deploy.wire.messages import TrajectoryChunk, encode_chunk
+from skewmi.deploy.wire.messages import JointStates, TrajectoryChunk, encode_chunk
 from skewmi.errors import CommandRefusedError, NotFoundError
 from skewmi.robot_models import limits as joint_limits
 
@@ -127,7 +131,7 @@ def test_keeps_executing_the_tail_if_nothing_newer_comes(robot: EndpointControll
     assert robot.state is EndpointState.HOLDING
 
 
-@pytest.mark.parametrize("when", range(0, 30, 6))
+@pytest.mark.parametrize("when", range(6, 36, 6))
 def test_stop_brakes_within_limits_and_disarms(robot: EndpointController, when: int) -> None:
     motion = start_moving(robot)
     run(robot, when)
@@ -207,16 +211,194 @@ def test_unphysical_simulation_is_a_fault(robot: EndpointController, twin: Watch
     assert robot.state is EndpointState.FAULT
 
 
-def test_fault_while_moving_still_follows_the_tail(robot: EndpointController) -> None:
+def test_fault_while_moving_still_follows_the_tail(
+    robot: EndpointController, monkeypatch: pytest.MonkeyPatch
+) -> None:
     motion = start_moving(robot)
-    robot._tracking_limit = 1e-9
-    run(robot, 10)
+    run(robot, 9)
+    step = robot._backend.step
+
+    def broken(target: PlanPoint) -> None:
+        step(target)
+        raise BackendFaultError("a fan stands still")
+
+    monkeypatch.setattr(robot._backend, "step", broken)
+    run(robot, 1)
+    monkeypatch.undo()
     assert robot.state is EndpointState.FAULT
-    robot.stop("test")
+    with pytest.raises(CommandRefusedError, match="yet to come to rest"):
+        robot.stop("test")
+    robot.disarm(OURS)
     assert robot.state is EndpointState.FAULT, "a moving arm cannot be acknowledged"
     run(robot, len(motion.q) + 10)
     assert_within_limits(np.array([t.q for t in robot._backend.targets]))
+    robot.disarm(OURS)
+    assert robot.state is EndpointState.FAULT, "nor by its commander"
     robot.stop("test")
+    assert robot.state is EndpointState.DISARMED
+
+
+def test_an_arm_that_is_held_off_its_command_is_not_pulled_at(
+    robot: EndpointController, twin: WatchedTwin
+) -> None:
+    """Somebody stands in the way, and then steps aside."""
+    q0 = np.array(robot.commanded_position())
+    held = q0 + np.array([0.0, 0.0, 0.0, 0.4, 0.0, 0.0, 0.0])
+
+    def hold() -> None:
+        twin._data.qpos[twin.scene.arm_qpos] = held
+        twin._data.qvel[twin.scene.arm_dof] = 0.0
+
+    hold()
+    run(robot, 1)
+    assert robot.state is EndpointState.FAULT
+    assert "from its command" in robot.machine.reason
+    speeds = []
+    for tick in range(150):
+        if tick < 50:
+            hold()
+        run(robot, 1)
+        speeds.append(np.abs(twin._data.qvel[twin.scene.arm_dof]).max())
+        assert np.abs(twin.targets[-1].q - held).max() < 0.02
+    assert max(speeds) < 0.2, "the arm snaps"
+    assert np.abs(np.array(robot.commanded_position()) - held).max() < 0.02
+
+
+def test_a_measurement_that_is_no_number_is_a_fault(
+    robot: EndpointController, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measured = robot.measure()
+    measured.position[2] = np.nan
+    monkeypatch.setattr(robot._backend, "measure", lambda: measured)
+    before = robot.commanded_position()
+    run(robot, 1)
+    assert robot.state is EndpointState.FAULT
+    assert robot.commanded_position() == before
+
+
+@pytest.mark.parametrize("how", ["stop", "disarm", "lost"])
+def test_a_motion_that_has_not_begun_never_begins(robot: EndpointController, how: str) -> None:
+    """A chunk may be due half a second from now."""
+    robot.arm(OURS, 0)
+    motion = motion_from(robot)
+    assert robot.receive(payload(robot, motion, robot.tick_index + 100), OURS, 1, 0)
+    run(robot, 90)
+    if how == "stop":
+        robot.stop("test")
+    elif how == "disarm":
+        robot.disarm(OURS)
+    else:
+        run(robot, 1, LEASE_NS + 1)
+    assert robot.state is EndpointState.DISARMED
+    run(robot, 120)
+    assert np.ptp([t.q for t in robot._backend.targets], axis=0).max() == 0.0
+
+
+def test_silence_is_noticed_before_what_comes_after_it(robot: EndpointController) -> None:
+    """The endpoint itself may have been frozen: what was sent meanwhile waits for it."""
+    motion = motion_from(robot)
+    robot.arm(OURS, 0)
+    late = LEASE_NS + 1
+    assert not robot.receive(payload(robot, motion, robot.tick_index + 3), OURS, 1, late)
+    assert robot.state is EndpointState.DISARMED
+    start_moving(robot)
+    run(robot, 10)
+    with pytest.raises(CommandRefusedError, match="stopping"):
+        robot.arm(OTHER, late)
+    assert robot.state is EndpointState.STOPPING
+
+
+def test_arming_again_shows_that_one_is_there(robot: EndpointController) -> None:
+    robot.arm(OURS + GRIPPER, 0)
+    robot.arm(OURS + OTHER, LEASE_NS)
+    run(robot, 1, 2 * LEASE_NS)
+    assert robot.state is EndpointState.HOLDING
+    robot.open_gripper(0.01, OTHER)
+    run(robot, 1, 2 * LEASE_NS + 1)
+    assert robot.state is EndpointState.DISARMED
+
+
+def test_strangers_cost_little(robot: EndpointController, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing of their messages is decoded, and nothing long of anybody's."""
+    start_moving(robot)
+    decoded = []
+    monkeypatch.setattr(
+        "skewmi.deploy.endpoint.controller.decode_chunk", lambda data: decoded.append(data)
+    )
+    assert not robot.receive(b"anything", OTHER, 2, 0)
+    assert not robot.receive(bytes(MAX_CHUNK_BYTES + 1), OURS, 2, 0)
+    assert decoded == []
+    stranger, ours = robot.take_refusals()
+    assert "not the commander" in stranger.reason
+    assert "at most" in ours.reason
+    monkeypatch.undo()
+    for sequence in range(100):
+        robot.receive(b"x", OTHER, sequence, 0)
+        robot.receive(b"x", OURS, sequence, 0)
+    assert robot.refused == 202
+    kept = robot.take_refusals()
+    assert sum(refusal.of_commander for refusal in kept) == 100
+    assert len(kept) <= 132
+
+
+@pytest.mark.parametrize("text", ["\x1b[2J[/bold] over\n\u202eand out", "a" * 100_000])
+def test_what_strangers_say_is_told_in_one_short_line(robot: EndpointController, text: str) -> None:
+    start_moving(robot)
+    run(robot, 10)
+    robot.stop(text)
+    robot.note_refusal(Refusal(text))
+    for told in (robot.machine.reason, robot.take_refusals()[0].reason):
+        assert len(told) < 400
+        assert told.isprintable()
+        assert text[5:20].isprintable() is False or text[5:20] in told
+
+
+def test_the_longest_chunk_is_not_too_long(robot: EndpointController) -> None:
+    rows = np.zeros((ValidationRules.max_points, 7))
+    times = np.arange(len(rows), dtype=np.int64) * GRID_NS
+    chunk = TrajectoryChunk(0, robot._backend.joint_names, times, rows, rows, rows)
+    assert len(encode_chunk(chunk)) < MAX_CHUNK_BYTES
+
+
+def test_gripper_commands_name_their_joint(robot: EndpointController) -> None:
+    robot.arm(OURS, 0)
+    finger, nothing = robot._backend.measure().names[7], np.zeros(0)
+    for names in ((), ("yumi_joint_1_r",), (finger, "yumi_joint_1_r")):
+        command = JointStates(robot.clock_ns, names, np.full(len(names), 0.02), nothing, nothing)
+        with pytest.raises(CommandRefusedError, match=f"that of {finger}, is expected"):
+            robot.follow_gripper(command, GRIPPER, 1)
+    with pytest.raises(CommandRefusedError, match="outside"):
+        robot.open_gripper(1.0, OTHER)
+    assert robot.lease.gripper_holder is None, "who said nonsense is no commander"
+    command = JointStates(robot.clock_ns, (finger,), np.array([0.02]), nothing, nothing)
+    robot.follow_gripper(command, GRIPPER, 1)
+    assert robot.lease.gripper_holder == GRIPPER
+
+
+def test_a_scene_that_somebody_works_in_is_not_reset(robot: EndpointController) -> None:
+    robot.arm(OURS, 0)
+    robot.reset_scene(1)
+    motion = motion_from(robot)
+    assert robot.receive(payload(robot, motion, robot.tick_index + 3), OURS, 1, 0)
+    run(robot, len(motion.q) + 10)
+    assert robot.state is EndpointState.HOLDING
+    with pytest.raises(CommandRefusedError, match="works in the scene"):
+        robot.reset_scene(1)
+    robot.disarm(OURS)
+    robot.reset_scene(1)
+
+
+def test_a_physics_fault_that_was_acknowledged_is_over(
+    robot: EndpointController, twin: WatchedTwin
+) -> None:
+    twin._data.qvel[twin.scene.arm_dof] = 1e11
+    run(robot, 1)
+    assert robot.state is EndpointState.FAULT
+    assert "the simulation raised" in robot.machine.reason
+    twin._data.qvel[:] = 0.0
+    run(robot, 50)
+    robot.stop("test")
+    run(robot, 5)
     assert robot.state is EndpointState.DISARMED
 
 
@@ -226,6 +408,7 @@ def test_scene_resets_at_rest_only(robot: EndpointController, twin: WatchedTwin)
     with pytest.raises(CommandRefusedError, match="moving"):
         robot.reset_scene(1)
     run(robot, 60)
+    robot.disarm(OURS)
     twin._data.qpos[twin.scene.lid_qpos] = 1.0
     robot.reset_scene(1)
     measured = robot.measure()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -14,7 +15,7 @@ from skewmi.deploy.guard import CLEARANCE, Guard
 from skewmi.deploy.motion.start_motion import StartMotion
 from skewmi.errors import LimitViolationError
 from skewmi.policy_io import Array, Workspace
-from skewmi.robot_models import limits, yumi
+from skewmi.robot_models import limits, mjcf, yumi
 from skewmi.robot_models.kinematics import ArmKinematics
 
 LAB = limits.profile("lab")
@@ -132,6 +133,48 @@ def test_sees_table_and_torso(anywhere: Guard) -> None:
             assert anywhere.check(*still(q)).clearance >= CLEARANCE
     assert {"table", "yumi_body"} <= met
     assert len(met) > 3
+
+
+def test_every_pose_in_which_mujoco_finds_the_arm_inside_something_is_refused() -> None:
+    """Its list of pairs is made here, body by body, and its distances are its own."""
+    model = mjcf.build_robot(fingers="straight", visual=False).compile()
+    data = mujoco.MjData(model)
+    for name in yumi.finger_names("right"):
+        data.joint(name).qpos[0] = yumi.GRIPPER.travel
+    hinges = model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE]
+    moved_by = np.zeros(model.nbody, dtype=int)
+    for body in range(1, model.nbody):
+        moved_by[body] = moved_by[model.body_parentid[body]] + (hinges == body).sum()
+    names = [model.body(body).name for body in range(model.nbody)]
+    left = [name.startswith("gripper_l") or name.endswith("_l") for name in names]
+    fixed = [g for g in range(model.ngeom) if moved_by[model.geom_bodyid[g]] == 0]
+    pairs = []
+    for a in fixed:
+        first = 1 if left[model.geom_bodyid[a]] else 2
+        pairs += [(a, b) for b in range(model.ngeom) if moved_by[model.geom_bodyid[b]] >= first]
+    rng = np.random.default_rng(2)
+    inside = set()
+    for q in rng.uniform(LAB.position_lower, LAB.position_upper, (300, 7)):
+        for name, value in zip(yumi.joint_names("right"), q, strict=True):
+            data.joint(name).qpos[0] = value
+        mujoco.mj_kinematics(model, data)
+        met = {
+            tuple(names[model.geom_bodyid[geom]] for geom in pair)
+            for pair in pairs
+            if mujoco.mj_geomDistance(model, data, *pair, 0.0, None) < -1e-3
+        }
+        if met:
+            with pytest.raises(LimitViolationError, match="clearance"):
+                GUARDS[0].check(*still(q))
+        refused = {
+            tuple(sorted(name.rsplit("_", 1)[0] for name in shapes))
+            for *shapes, distance in GUARDS[0].distances(q)
+            if distance < CLEARANCE
+        }
+        assert {tuple(sorted(pair)) for pair in met} <= refused
+        inside |= met
+    assert ("yumi_body", "yumi_link_2_r") in inside
+    assert any(second == "yumi_link_2_r" and first.endswith("_l") for first, second in inside)
 
 
 @settings(max_examples=60, deadline=None)

@@ -16,6 +16,16 @@ GIDS = (bytes(range(16)), bytes(range(16, 0, -1)), bytes(range(100, 116)))
 TIMEOUT = 100
 
 
+def follow_gripper(lease: CommanderLease, gid: bytes, sequence: int | None = None) -> None:
+    """What happens to a gripper command that is fine otherwise; checking alone changes nothing."""
+    before = lease.gripper_holder, lease.gripper_sequence
+    try:
+        lease.check_gripper(gid, sequence)
+    finally:
+        assert (lease.gripper_holder, lease.gripper_sequence) == before
+    lease.renew_gripper(gid, sequence)
+
+
 def again(gid: bytes) -> bytes:
     """An equal gid that is another object, as every message from the wire brings one."""
     return bytes(bytearray(gid))
@@ -93,11 +103,11 @@ def test_the_gripper_hears_one_sender_in_order(
 ) -> None:
     lease = CommanderLease(TIMEOUT)
     lease.open(0)
-    lease.check_gripper(ours, 5)
+    follow_gripper(lease, ours, 5)
     assert (lease.gripper_holder, lease.gripper_sequence) == (ours, 5)
     if sender != ours:
         with pytest.raises(CommandRefusedError) as caught:
-            lease.check_gripper(again(sender), sequence)
+            follow_gripper(lease, again(sender), sequence)
         assert str(caught.value) == (
             f"sender {sender.hex()[:8]} is not the gripper's commander {ours.hex()[:8]}"
         )
@@ -105,9 +115,9 @@ def test_the_gripper_hears_one_sender_in_order(
         with pytest.raises(
             CommandRefusedError, match=rf"^gripper sequence {sequence} does not follow 5:"
         ):
-            lease.check_gripper(again(sender), sequence)
+            follow_gripper(lease, again(sender), sequence)
     else:
-        lease.check_gripper(again(sender), sequence)
+        follow_gripper(lease, again(sender), sequence)
     accepted = sender == ours and sequence is not None and sequence > 5
     assert lease.gripper_sequence == (sequence if accepted else 5)
     assert lease.gripper_holder == ours
@@ -115,25 +125,25 @@ def test_the_gripper_hears_one_sender_in_order(
 
 def test_a_gripper_message_without_a_number_makes_its_sender_the_only_one() -> None:
     lease = CommanderLease(TIMEOUT)
-    lease.check_gripper(GIDS[1])
+    follow_gripper(lease, GIDS[1])
     assert (lease.gripper_holder, lease.gripper_sequence) == (GIDS[1], 0)
-    lease.check_gripper(again(GIDS[1]), 1)
+    follow_gripper(lease, again(GIDS[1]), 1)
 
 
 @pytest.mark.parametrize("first", range(4))
 def test_the_first_gripper_message_opens_the_count_from_any_number(first: int) -> None:
     lease = CommanderLease(TIMEOUT)
-    lease.check_gripper(GIDS[1], first)
+    follow_gripper(lease, GIDS[1], first)
     for repeated in range(first + 1):
         with pytest.raises(CommandRefusedError):
-            lease.check_gripper(GIDS[1], repeated)
-    lease.check_gripper(GIDS[1], first + 1)
+            follow_gripper(lease, GIDS[1], repeated)
+    follow_gripper(lease, GIDS[1], first + 1)
 
 
 @pytest.mark.parametrize("how", ["close", "open"])
 def test_closing_forgets_both_commanders(how: str) -> None:
     lease = held_by(GIDS[0])
-    lease.check_gripper(GIDS[1], 7)
+    follow_gripper(lease, GIDS[1], 7)
     if how == "close":
         lease.close()
         assert not lease.expired(10**18)
@@ -142,7 +152,7 @@ def test_closing_forgets_both_commanders(how: str) -> None:
     assert (lease.holder, lease.sequence) == (None, 0)
     assert (lease.gripper_holder, lease.gripper_sequence) == (None, 0)
     lease.check(GIDS[2], 0)
-    lease.check_gripper(GIDS[2], 1)
+    follow_gripper(lease, GIDS[2], 1)
 
 
 @settings(deadline=None)
@@ -177,12 +187,20 @@ def test_accepted_messages_rise_per_commander_however_they_arrive(
 def test_every_pair_of_numbers() -> None:
     for first, second in product(range(1, 6), repeat=2):
         lease = held_by(GIDS[0], sequence=first)
-        lease.check_gripper(GIDS[1], first)
+        follow_gripper(lease, GIDS[1], first)
         if second > first:
             lease.check(GIDS[0], second)
-            lease.check_gripper(GIDS[1], second)
+            follow_gripper(lease, GIDS[1], second)
         else:
             with pytest.raises(CommandRefusedError):
                 lease.check(GIDS[0], second)
             with pytest.raises(CommandRefusedError):
-                lease.check_gripper(GIDS[1], second)
+                follow_gripper(lease, GIDS[1], second)
+
+
+def test_whoever_shows_that_it_is_there_keeps_the_arm() -> None:
+    lease = held_by(GIDS[0])
+    lease.extend(TIMEOUT)
+    assert not lease.expired(2 * TIMEOUT)
+    assert lease.expired(2 * TIMEOUT + 1)
+    assert lease.holder == GIDS[0]

@@ -195,3 +195,12 @@ def test_nan_in_a_chunk_reaches_the_checks_that_refuse_it():
     chunk = make_chunk(3)
     chunk.q[1, 2] = np.nan
     assert np.isnan(messages.decode_chunk(messages.encode_chunk(chunk)).q[1, 2])
+
+
+@given(STAMPS, st.binary(max_size=40))
+def test_a_stamp_is_read_without_the_rest(stamp_ns: int, rest: bytes) -> None:
+    payload = messages.encode_chunk(make_chunk(3, stamp_ns=stamp_ns))
+    assert messages.peek_stamp_ns(payload) == stamp_ns
+    assert messages.peek_stamp_ns(payload[:12] + rest) == stamp_ns
+    for broken in (payload[:11], b"", rest[:3], b"\x00\x00" + payload[2:]):
+        assert messages.peek_stamp_ns(broken) is None

@@ -5,20 +5,26 @@ from __future__ import annotations
 import os
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import time
 from pathlib import Path
+from random import Random
 
 import numpy as np
 import pytest
+import zenoh
+import zstandard
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
 from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_typestore
 
 from skewmi.deploy.recording.reader import METADATA_NAME, read_recording, run_metadata
 from skewmi.deploy.recording.recorder import Recorder
 from skewmi.deploy.recording.writer import RecordingWriter
-from skewmi.deploy.wire import messages, topics
+from skewmi.deploy.wire import messages, ros2_keys, topics
 from skewmi.deploy.wire.messages import JointStates
 from skewmi.deploy.wire.transport import Link, TransportConfig
 from skewmi.errors import ConfigurationError, TransportError
@@ -74,6 +80,67 @@ def test_recorder_writes_what_was_published(tmp_path, config):
     assert summary.messages == len(got)
     assert summary.missed == 0
     assert summary.size_bytes == path.stat().st_size
+
+
+INT64 = st.integers(-(2**63), 2**63 - 1)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(odd=st.lists(st.tuples(st.binary(max_size=50), INT64, INT64), min_size=1, max_size=5))
+@example([(b"", -1, -1)])
+@example([(b"", 2**32, 0)])
+@example([(b"", 2**63 - 1, -(2**63))])
+def test_whatever_an_attachment_says_can_be_written(tmp_path, odd):
+    """Numbers that MCAP's fields cannot hold used to end the recording and lose its last chunk."""
+    path = tmp_path / "run.mcap"
+    topic = topics.YUMI_JOINT_STATES
+    with RecordingWriter(path) as writer:
+        writer.write(topic, b"before", sequence=1)
+        for payload, sequence, time_ns in odd:
+            attachment = ros2_keys.encode_attachment(sequence, time_ns, bytes(16))
+            sequence, time_ns, _ = ros2_keys.decode_attachment(attachment)
+            writer.write(topic, payload, sequence=sequence, publish_time_ns=time_ns)
+        writer.write(topic, b"after", sequence=2, log_time_ns=-1)
+    recording = read_recording(path)
+    assert recording.complete
+    first, *between, last = recording.messages[topic.name]
+    assert (first.payload, first.sequence, last.payload) == (b"before", 1, b"after")
+    assert [(m.payload, m.sequence, m.publish_time_ns) for m in between] == [
+        (payload, sequence % 2**32, max(0, time_ns)) for payload, sequence, time_ns in odd
+    ]
+
+
+def test_no_odd_message_ends_a_recording(tmp_path, config):
+    path = tmp_path / "run.mcap"
+    odd = [
+        (payload, ros2_keys.encode_attachment(sequence, time_ns, bytes(16)))
+        for payload in (b"", b"garbage", bytes(100_000))
+        for sequence in (0, -1, 2**32, 2**63 - 1, -(2**63))
+        for time_ns in (0, -1, 2**63 - 1, -(2**63))
+    ]
+    stranger = TransportConfig.for_client(config.listen[0])
+    with (
+        Link.open(config, "endpoint") as link,
+        zenoh.open(stranger.zenoh()) as session,
+        Recorder(path, config) as recorder,
+    ):
+        for topic in topics.TOPICS:
+            key = ros2_keys.data_key(0, topic)
+            session.put(key, b"no attachment")
+            session.put(key, b"a short one", attachment=b"1234")
+            for payload, attachment in odd:
+                session.put(key, payload, attachment=attachment)
+                time.sleep(0.001)
+        time.sleep(1.0)
+        sent = publish_until_recorded(link, path, path.stat().st_size + 20_000)
+        summary = recorder.close()
+    recording = read_recording(path)
+    assert recording.complete
+    got = recording.messages[topics.YUMI_JOINT_STATES.name]
+    assert got[-1].payload == states(sent - 1)
+    # What cannot be passed on at once is dropped; most of it arrives.
+    assert len(recording.messages[topics.YUMI_STATUS.name]) > 30
+    assert summary.messages == sum(map(len, recording.messages.values()))
 
 
 def test_recording_survives_the_kill_of_its_recorder(tmp_path, config):
@@ -153,6 +220,77 @@ def test_every_cut_of_a_recording_can_be_read(tmp_path):
         assert len(got) >= before
         before = len(got)
     assert before > 200
+
+
+EXTREMES = [*(2**bits - 1 for bits in (0, 1, 8, 31, 32, 63, 64)), 2**31, 2**63]
+
+
+def damaged(data: bytes, random: Random) -> bytes:
+    """A file after bytes were changed, put in, taken out or cut off, behind its first eight."""
+    damage = bytearray(data)
+    for _ in range(random.choice((1, 1, 2, 4))):
+        # Half of them in the first records, as most of the rest is compressed.
+        last = len(damage) if random.random() < 0.5 else min(len(damage), 600)
+        place = random.randrange(8, last)
+        length = random.randrange(1, 40)
+        match random.randrange(6):
+            case 0:
+                damage[place] = random.randrange(256)
+            case 1:
+                number = struct.pack("<Q", random.choice(EXTREMES))
+                damage[place : place + 8] = number
+            case 2:
+                number = struct.pack("<I", random.choice(EXTREMES) % 2**32)
+                damage[place : place + 4] = number
+            case 3:
+                del damage[place : place + length]
+            case 4:
+                damage[place:place] = random.randbytes(length)
+            case 5:
+                del damage[max(place, 9) :]
+        if len(damage) < 10:
+            break
+    return bytes(damage)
+
+
+def rewritten_chunks(data: bytes, random: Random) -> bytes:
+    """A file whose first chunk was damaged inside, where its checksum (here none) is no help."""
+    out, place = bytearray(data[:8]), 8
+    done = False
+    while place < len(data) - 8:
+        opcode, length = struct.unpack_from("<BQ", data, place)
+        content = data[place + 9 : place + 9 + length]
+        place += 9 + length
+        if opcode == 6 and not done:
+            start, end, size, _, name = struct.unpack_from("<QQQII", content)
+            assert content[32 : 32 + name] == b"zstd"
+            inside = zstandard.decompress(content[40 + name :], size)
+            inside = damaged(8 * b"-" + inside, random)[8:]
+            packed = zstandard.compress(inside)
+            content = struct.pack("<QQQII4sQ", start, end, len(inside), 0, 4, b"zstd", len(packed))
+            content += packed
+            done = True
+        out += struct.pack("<BQ", opcode, len(content)) + content
+    assert done
+    return bytes(out + data[-8:])
+
+
+def test_no_damage_to_a_recording_is_more_than_an_early_end(tmp_path):
+    """What can be read of it is shown or it is refused; nothing else is raised."""
+    path, mutant = tmp_path / "run.mcap", tmp_path / "mutant.mcap"
+    write_file(path)
+    data = path.read_bytes()
+    random = Random(3)
+    refused = early = 0
+    for number in range(3000):
+        mutant.write_bytes((damaged if number % 2 else rewritten_chunks)(data, random))
+        try:
+            early += not read_recording(mutant).complete
+        except ConfigurationError:
+            refused += 1
+    # Else the mutations have missed their mark.
+    assert refused > 300
+    assert early > 100
 
 
 @pytest.mark.parametrize(

@@ -47,7 +47,7 @@ DAEMON_SENDS = {
     "/skewmi/policy_observation": STATE,
     "/skewmi/policy_action": STATE,
 }
-SERVICES = ("/yumi/arm", "/yumi/stop", "/yumi/describe", "/yumi/scene/reset")
+SERVICES = ("/yumi/arm", "/yumi/disarm", "/yumi/stop", "/yumi/describe", "/yumi/scene/reset")
 # As published with ROS 2 Jazzy.
 HASHES = {
     TRAJECTORY: "RIHS01_179b33eba59d676f6d967ac71fe35e7ca2f64b2f3928f4a018cec115e213796e",
@@ -107,8 +107,7 @@ def test_peer_sees_topics_types_and_qos_of_the_robot(peer: Peer) -> None:
     for name in (COMMANDS, "/yumi/right/gripper"):
         seen = graph["topics"][name]
         assert seen["types"] == [DAEMON_SENDS[name]]
-        newest_only = name == "/yumi/right/gripper"
-        expected = entity("skewmi_robot", DAEMON_SENDS[name], newest_only=newest_only)
+        expected = entity("skewmi_robot", DAEMON_SENDS[name])
         assert without_hash(seen["subscribers"]) == [expected]
     for name in SERVICES:
         assert graph["services"][name]["types"] == [TRIGGER]

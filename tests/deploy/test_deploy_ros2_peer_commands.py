@@ -158,7 +158,8 @@ BROKEN_RULES: dict[str, tuple[Callable[[Message], Message], str]] = {
         lambda endpoint: trajectory(endpoint, STEP, ahead_ns=20_000_000_000),
         "ahead of the endpoint's clock; at most 500 ms",
     ),
-    "too long": (lambda endpoint: trajectory(endpoint, STEP, 3.0), "2 to 500 points; this has 751"),
+    "too long": (lambda endpoint: trajectory(endpoint, STEP, 2.4), "2 to 500 points; this has 601"),
+    "far too long": (lambda endpoint: trajectory(endpoint, STEP, 3.0), "bytes; at most 131072"),
     "does not end at rest": (cut_short, "must end at rest"),
     "jump at the start": (begun_elsewhere, "splice: position of yumi_joint_1_r steps by 0.01 rad"),
     "jump on the way": (

@@ -9,6 +9,7 @@ import struct
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from secured_link import SecuredLink, robot_process
@@ -17,7 +18,7 @@ from skewmi.cli.main import main
 from skewmi.deploy.daemon.endpoint_process import free_port
 from skewmi.deploy.wire.access import Role
 from skewmi.deploy.wire.transport import Link, TransportConfig
-from skewmi.errors import ConfigurationError
+from skewmi.errors import ConfigurationError, TransportError
 
 needs_proc = pytest.mark.skipif(
     not Path("/proc/net/tcp").exists(), reason="reads the kernel's table of sockets"
@@ -162,16 +163,76 @@ def test_what_a_file_says_is_kept_and_what_it_leaves_open_is_safe(tmp_path: Path
         ("tcp/127.1.2.3:7447", False),
         ("tcp/[::1]:7447", False),
         ("tcp/localhost:7447", False),
-        ("tls/0.0.0.0:7447", False),
+        ("tls/127.0.0.1:7447", False),
+        ("unixpipe//tmp/skewmi", False),
         ("tcp/0.0.0.0:7447", True),
         ("tcp/[::]:7447", True),
         ("udp/10.0.0.7:7447", True),
         ("ws/robot.lab:7447", True),
         ("tcp/10.0.0.7:7447#iface=lo", True),
+        ("tls/0.0.0.0:7447", True),
+        ("quic/robot.lab:7447", True),
     ],
 )
 def test_open_doors_are_recognised(locator: str, unprotected: bool) -> None:
     assert TransportConfig.for_endpoint(locator).unprotected == ((locator,) if unprotected else ())
+
+
+@pytest.mark.parametrize("protocol", ["tls", "quic"])
+@pytest.mark.parametrize(
+    ("mutual", "own", "unprotected"),
+    [
+        ("true", "", False),
+        ("false", "", True),
+        ("null", "", True),
+        # What the locator says comes before what the file says; of two, the first counts.
+        ("true", "#enable_mtls=false;iface=lo", True),
+        ("true", "?rel=1#enable_mtls=false;enable_mtls=true", True),
+        ("false", "#enable_mtls=true", False),
+    ],
+)
+def test_tls_protects_only_if_it_asks_for_certificates(
+    tmp_path: Path, protocol: str, mutual: str, own: str, unprotected: bool
+) -> None:
+    locator = f"{protocol}/0.0.0.0:7447{own}"
+    file = tmp_path / "zenoh.json5"
+    file.write_text(
+        f'{{listen: {{endpoints: ["{locator}", "{protocol}/127.0.0.1:7448"]}}, '
+        f"transport: {{link: {{tls: {{enable_mtls: {mutual}}}}}}}}}"
+    )
+    config = TransportConfig.for_endpoint(zenoh_config=file)
+    assert config.unprotected == ((locator,) if unprotected else ())
+
+
+@pytest.mark.parametrize(
+    ("mutual", "own", "let_in"),
+    [(True, "", False), (False, "", True), (True, "#enable_mtls=false", True)],
+)
+def test_zenoh_lets_in_without_certificate_where_we_say_so(
+    tmp_path: Path, mutual: bool, own: str, let_in: bool
+) -> None:
+    link = SecuredLink(tmp_path)
+    text = link.file(Role.ENDPOINT).read_text()
+    content = json.loads(text[text.index("{") :])
+    content["transport"]["link"]["tls"]["enable_mtls"] = mutual
+    content["listen"]["endpoints"][0] += own
+    del content["access_control"]
+    file = link.file(Role.ENDPOINT).with_name("changed.json5")
+    file.write_text(json.dumps(content))
+
+    def without_certificate(content: dict[str, Any]) -> None:
+        tls = content["transport"]["link"]["tls"]
+        del content["access_control"], tls["connect_certificate"], tls["connect_private_key"]
+        tls["enable_mtls"] = False
+
+    stranger = link.intruder(Role.COMMANDER, without_certificate)
+    with Link.open(TransportConfig.for_endpoint(zenoh_config=file), "endpoint"):
+        try:
+            Link.open(stranger, "stranger").close()
+        except TransportError:
+            assert not let_in
+        else:
+            assert let_in
 
 
 BROKEN = {

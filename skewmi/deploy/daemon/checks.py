@@ -36,9 +36,9 @@ class ChunkChecks:
         """Both checks with the names of their stages."""
         return (("check", self._check), ("guard", self._guard))
 
-    def _check(self, q: Array, v: Array, a: Array, previous: State) -> LimitUsage:
-        return self._checkers[self.boxed][0].check(q, v, a, previous)
+    def _check(self, q: Array, v: Array, a: Array, previous: State, earlier: Array) -> LimitUsage:
+        return self._checkers[self.boxed][0].check(q, v, a, previous, earlier=earlier)
 
-    def _guard(self, q: Array, v: Array, a: Array, previous: State) -> None:
-        del previous
+    def _guard(self, q: Array, v: Array, a: Array, previous: State, earlier: Array) -> None:
+        del previous, earlier
         self._checkers[self.boxed][1].check(q, v, a)

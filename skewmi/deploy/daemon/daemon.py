@@ -9,11 +9,12 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
 from skewmi.deploy.daemon.checks import ChunkChecks
-from skewmi.deploy.daemon.episode import EpisodeRunner
+from skewmi.deploy.daemon.episode import EpisodeRunner, action_cycles
 from skewmi.deploy.daemon.observer import ArmState, Observer
 from skewmi.deploy.daemon.preflight import (
     check_agreement,
@@ -25,8 +26,9 @@ from skewmi.deploy.daemon.preflight import (
 from skewmi.deploy.daemon.realtime import hot_loop
 from skewmi.deploy.daemon.robot_client import RobotClient, StopRequestedError
 from skewmi.deploy.daemon.states import DAEMON_TABLE, DaemonEvent, DaemonState
-from skewmi.deploy.daemon.stream import ChunkStream
+from skewmi.deploy.daemon.stream import CYCLE_NS, CYCLE_TICKS, ChunkStream
 from skewmi.deploy.daemon.timing import CycleTimes
+from skewmi.deploy.endpoint.states import EndpointState
 from skewmi.deploy.motion.planner import Planner
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.report import DeployReport, EpisodeReport
@@ -84,7 +86,7 @@ class Daemon:
         self._status = link.publisher(topics.YUMI_STATUS)
         self._machine = StateMachine(DAEMON_TABLE, self._on_transition)
         limits = planning_limits(options.limits, options.speed)
-        self._robot = RobotClient(link, STATUS_NAME, dry_run=options.dry_run)
+        self._robot = RobotClient(link, dry_run=options.dry_run)
         description = self._robot.describe()
         if description.lock_step != options.lock_step:
             pace = {True: "in lock-step", False: "in real time"}
@@ -92,9 +94,12 @@ class Daemon:
                 f"the endpoint runs {pace[description.lock_step]}, this run is to be "
                 f"{pace[options.lock_step]}; give --lock-step to both or to none"
             )
-        check_agreement(policy.layout, options.robot_model_hash, limits, description)
-        self._description = description
+        self._check_agreement = partial(
+            check_agreement, policy.layout, options.robot_model_hash, limits
+        )
+        self._check_agreement(description)
         self._clock_ns = description.clock_ns
+        self._stops = description.stops
         workspace = policy.layout.workspace
         assert workspace is not None
         self._workspace = workspace
@@ -124,11 +129,15 @@ class Daemon:
 
         planner = Planner(workspace, limits)
         hand_speed = planner.hand_bounds.speed
-        speed = report.speed = followed_speed(policy.layout, options.speed, hand_speed)
+        followed = followed_speed(policy.layout, options.speed, hand_speed)
+        cycles = action_cycles(policy.layout.control_dt, followed)
+        speed = report.speed = policy.layout.control_dt * 1e9 / (cycles * CYCLE_NS)
         if speed < options.speed:
+            why = "control steps take whole cycles of 20 ms"
+            if followed < options.speed:
+                why = f"limits {limits.name} allow the hand {1e3 * hand_speed:.0f} mm/s"
             report.notes.append(
-                f"limits {limits.name} allow the hand {1e3 * hand_speed:.0f} mm/s: every control "
-                f"step takes {1.0 / speed:.1f} times as long as in training"
+                f"{why}: every control step takes {1.0 / speed:.1f} times as long as in training"
             )
             on_event(report.notes[-1])
 
@@ -156,7 +165,9 @@ class Daemon:
     def _warm_up(self, policy: Policy, planner: Planner) -> None:
         """Do once what every cycle does: first calls load code and build tables."""
         self._stream.warm_up()
-        planner.reset(np.array(self._workspace.start_configuration))
+        start = np.array(self._workspace.start_configuration)
+        planner.reset(start)
+        earlier = np.tile(start, (3, 1))
         planner.set_target(np.array(self._workspace.start) + 0.01, self._layout.control_dt)
         policy.reset()
         policy.act(np.zeros(self._layout.observation_dim))
@@ -165,7 +176,8 @@ class Daemon:
             chunk = planner.step()
             self._checks.boxed = cycle % 2 == 0
             for _, check in self._checks.stages:
-                check(chunk.q, chunk.v, chunk.a, present)
+                check(chunk.q, chunk.v, chunk.a, present, earlier)
+            earlier = chunk.q[CYCLE_TICKS - 3 : CYCLE_TICKS]
 
     @property
     def state(self) -> DaemonState:
@@ -188,19 +200,22 @@ class Daemon:
         report.cycle_ms = self._times.cycle_percentiles_ms()
         report.stage_ms = self._times.stage_percentiles_ms()
         report.missed_cycles = self._stream.missed_cycles
+        report.interrupted = self._stop.is_set()
 
     def _episode(self, index: int) -> bool:
         """One episode; whether to go on with the next."""
         seed = int(np.random.SeedSequence([self._options.seed, index]).generate_state(1)[0])
         final, go_on = np.zeros(0), True
+        self._runner.steps = 0
         try:
             self._checks.boxed = False
             state, q, q_goal = self._preflight(seed)
             self._fire(DaemonEvent.READY, "hashes and limits agree, states are fresh, way is free")
+            at_start = "dry run: the arm stays where it is"
             if not self._options.dry_run:
                 state = self._runner.move_to(q, q_goal, state)
-                q = q_goal
-            self._fire(DaemonEvent.AT_START, "the arm rests at the start")
+                q, at_start = q_goal, "the arm rests at the start"
+            self._fire(DaemonEvent.AT_START, at_start)
             self._checks.boxed = True
             end = self._runner.run_policy(q, state)
             final = end.observation
@@ -223,11 +238,17 @@ class Daemon:
         outcome, reason = self._machine.state, self._machine.reason
         at_rest = None
         try:
-            at_rest = self._robot.stop()
+            at_rest = self._robot.disarm()
         except SkewmiError as error:
             go_on = False
             outcome, reason = DaemonState.FAULT, f"{reason}; then {error}"
             self._fire(DaemonEvent.FAULT, reason)
+        if at_rest is not None and at_rest.state == EndpointState.FAULT.value:
+            go_on = False
+            if outcome is not DaemonState.FAULT:
+                outcome = DaemonState.FAULT
+                reason = f"{reason}; then the endpoint is in fault: {at_rest.reason}"
+                self._fire(DaemonEvent.FAULT, reason)
         self._fire(DaemonEvent.AT_REST, f"after {outcome.value}")
         steps = self._runner.steps
         words = "stopped" if outcome is DaemonState.STOPPING else outcome.value
@@ -248,37 +269,48 @@ class Daemon:
         Returns:
             The newest state, where the arm is held, and where the episode starts, rad.
         """
-        if self._stop.is_set():
-            raise StopRequestedError("interrupted")
+        self._check_interrupt()
         # Armed first: a scene that somebody else works in must not be reset.
         self._robot.arm()
-        if self._description.simulated:
+        description = self._robot.describe()
+        self._check_agreement(description)
+        if description.simulated:
             self._robot.reset_scene(seed)
-        self._clock_ns = self._robot.describe().clock_ns
+            description = self._robot.describe()
+        if description.stops > self._stops:
+            # Between two episodes a stop changes no state: nothing else tells of it.
+            raise StopRequestedError("somebody has asked to stop since the last episode")
+        self._clock_ns = description.clock_ns
         self._open_gripper(self._workspace.gripper_opening)
-        q = np.array(self._robot.describe().commanded_position)
+        q = np.array(description.commanded_position)
         q_goal = draw_start(self._workspace, seed, self._options.start_spread, q)
         check_way(q, q_goal, self._limits, self._checks)
         # Checking takes a while: what was fresh before is not any more.
-        return self._observer.fresh_state(), q, q_goal
+        state = self._observer.fresh_state()
+        self._check_interrupt()
+        return state, q, q_goal
 
     def _supervise(self, state: ArmState) -> None:
         """Every cycle: has somebody asked to stop, and does the endpoint still follow?"""
         self._clock_ns = state.stamp_ns
+        self._check_interrupt()
+        self._robot.check(late_is_final=self._options.lock_step)
+
+    def _check_interrupt(self) -> None:
         if self._stop.is_set():
             raise StopRequestedError("interrupted")
-        self._robot.check(late_is_final=self._options.lock_step)
 
     def _on_repeat(self) -> None:
         if self._machine.state in (DaemonState.TO_START, DaemonState.RUNNING):
-            if self._stop.is_set():
-                raise StopRequestedError("interrupted")
+            self._check_interrupt()
             self._robot.check(late_is_final=True)
 
     def _resync(self) -> tuple[Array, ArmState]:
         q = self._robot.wait_for_hold()
         self._stream.missed_cycles += 1
-        return q, self._observer.fresh_state()
+        state = self._observer.fresh_state()
+        self._check_interrupt()
+        return q, state
 
     def _open_gripper(self, opening: float) -> None:
         self._robot.open_gripper(opening, self._clock_ns)

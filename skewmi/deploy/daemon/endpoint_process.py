@@ -50,12 +50,12 @@ def sim_endpoint_process(
             # Ctrl-C reaches us alone: the arm shall brake before its robot goes away.
             start_new_session=True,
         )
+        watchdog = threading.Timer(_READY_TIMEOUT_S, child.kill)
+        watchdog.daemon = True
         try:
             assert child.stdout is not None
-            watchdog = threading.Timer(_READY_TIMEOUT_S, child.kill)
             watchdog.start()
             ready = child.stdout.readline()
-            watchdog.cancel()
             if not ready:
                 child.wait(_END_TIMEOUT_S)
                 words.seek(0)
@@ -63,8 +63,10 @@ def sim_endpoint_process(
                 raise TransportError(
                     f"the simulated robot did not start: {said[-1] if said else 'it was silent'}"
                 )
+            watchdog.cancel()
             yield locator
         finally:
+            watchdog.cancel()
             assert child.stdin is not None
             child.stdin.close()
             try:

@@ -44,6 +44,11 @@ class PolicyEnd:
     held_back_reason: str
 
 
+def action_cycles(control_dt: float, speed: float) -> int:
+    """Planner cycles that a control step takes, at a share of the training's speed or slower."""
+    return math.ceil(control_dt * 1e9 / CYCLE_NS / speed - 1e-6)
+
+
 class EpisodeRunner:
     """Runs start motions and policies on a stream.
 
@@ -54,7 +59,7 @@ class EpisodeRunner:
         stream: Where chunks go to.
         times: Stage times.
         limits: That start motions keep.
-        speed: 1 for the speed of training; less stretches every control step.
+        speed: 1 for the speed of training; less stretches every control step, to whole cycles.
         supervise: Called every cycle with the newest state; raises to stop, and
             `LateChunkError` if the endpoint refused a chunk for being late.
         resync: Waits until the arm rests; gives where the endpoint holds it and the newest state.
@@ -89,7 +94,7 @@ class EpisodeRunner:
         self._resync = resync
         self._publish_policy = publish_policy
         self._publish_gripper = publish_gripper
-        self._action_cycles = math.ceil(self._layout.control_dt * 1e9 / CYCLE_NS / speed - 1e-6)
+        self._action_cycles = action_cycles(self._layout.control_dt, speed)
         self._action_names = tuple(field.name for field in self._layout.action)
         self._scale = self._layout.action_scale
         self.steps = 0
@@ -137,6 +142,7 @@ class EpisodeRunner:
             if state.stamp_ns >= rest_ns:
                 return state, stream.sent.chunk.q[-1], not late
             self._times.start(state.received_ns)
+            self._observer.check_scene()
             for splice in () if late else stream.due(state.stamp_ns, state.received_ns):
                 # Braking has begun: this motion cannot be taken up again, another one can.
                 if splice != CYCLE_TICKS:
@@ -179,13 +185,13 @@ class EpisodeRunner:
         follower = HandFollower(layout, observer, stream, state)
         while True:
             times.start(state.received_ns)
+            observer.check_scene()
             for splice in stream.due(state.stamp_ns, state.received_ns):
                 # After a late cycle the next action is due as much sooner.
                 wait -= splice // CYCLE_TICKS
                 acts = wait < 0
                 if acts:
                     wait = max(0, wait + self._action_cycles)
-                    observer.check_scene()
                     hand = observer.hand_position(state)
                     observation = observer.observation(state, hand, step)
                     times.lap("observe")

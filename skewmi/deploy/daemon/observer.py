@@ -109,7 +109,7 @@ class Observer:
         Sleeps until shortly before it is due: no busy waiting.
 
         Raises:
-            StaleStateError: None came in time, or the scene has fallen silent.
+            StaleStateError: None came in time.
             TransportError: A state is malformed.
         """
         last = self._arm

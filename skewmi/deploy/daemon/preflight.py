@@ -161,7 +161,8 @@ def check_way(q: Array, q_goal: Array, limits: JointLimits, checks: ChunkChecks)
     guard = dict(checks.stages)["guard"]
     for first in range(0, len(motion.q), _WAY_SAMPLES):
         part = slice(first, first + _WAY_SAMPLES + 1)
-        guard(motion.q[part], motion.v[part], motion.a[part], (motion.q[first], rest, rest))
+        start = motion.q[first]
+        guard(motion.q[part], motion.v[part], motion.a[part], (start, rest, rest), start[None])
 
 
 def _check_limits(limits: JointLimits, endpoint: EndpointDescription) -> None:

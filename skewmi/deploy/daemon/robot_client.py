@@ -25,7 +25,6 @@ CALL_TIMEOUT_S = 5.0
 REST_TIMEOUT_S = 10.0
 ROBOT_STATUS_NAME = "skewmi_robot"
 
-_RESTING = (EndpointState.DISARMED.value, EndpointState.FAULT.value)
 _ENDING = (EndpointState.STOPPING.value, EndpointState.DISARMED.value)
 
 
@@ -42,13 +41,11 @@ class RobotClient:
 
     Args:
         link: An open session to it.
-        who: Told to the endpoint as the one who stops.
         dry_run: Only ask, never command.
     """
 
-    def __init__(self, link: Link, who: str, *, dry_run: bool) -> None:
+    def __init__(self, link: Link, *, dry_run: bool) -> None:
         self._link = link
-        self._who = who
         self._dry_run = dry_run
         self._commands = link.publisher(topics.YUMI_TRAJECTORY)
         self._gripper = link.publisher(topics.YUMI_GRIPPER)
@@ -56,6 +53,10 @@ class RobotClient:
         self._refused = 0
         self._armed = False
         self._heard = False
+
+    @property
+    def _gids(self) -> bytes:
+        return self._commands.gid + self._gripper.gid
 
     def describe(self) -> EndpointDescription:
         """What the endpoint is and does now.
@@ -77,7 +78,7 @@ class RobotClient:
             CommandRefusedError: Somebody else is, or the endpoint is in fault.
         """
         if not self._dry_run:
-            self._call(topics.YUMI_ARM, self._commands.gid + self._gripper.gid)
+            self._call(topics.YUMI_ARM, self._gids)
             self._armed = True
         self._refused, self._heard = 0, False
         self._news()
@@ -126,10 +127,12 @@ class RobotClient:
 
         Raises:
             StopRequestedError: It was stopped meanwhile.
-            TransportError: It does not come to rest.
+            TransportError: It does not come to rest, or is in fault.
         """
         deadline = time.monotonic() + REST_TIMEOUT_S
         while (description := self.describe()).state != EndpointState.HOLDING.value:
+            if description.state == EndpointState.FAULT.value:
+                raise TransportError(f"the endpoint is in fault: {description.reason}")
             if description.state != EndpointState.EXECUTING.value:
                 raise StopRequestedError(f"the endpoint is {description.state}")
             if time.monotonic() > deadline:
@@ -139,13 +142,14 @@ class RobotClient:
             self._note_refusals(status)
         return np.array(description.commanded_position)
 
-    def stop(self) -> EndpointDescription | None:
-        """Stop and disarm, and wait until the tail has been followed to its end.
+    def disarm(self) -> EndpointDescription | None:
+        """Give the arm back, and wait until the tail has been followed to its end.
 
-        Does nothing unless we armed the endpoint: nobody else's run is ended by our failure.
+        Nobody else's run is ended by our failure: the endpoint does it for its commander alone. Nor
+        is a fault acknowledged.
 
         Returns:
-            What the endpoint says at rest; None if there was nothing to stop.
+            What the endpoint says then; None if it was never armed.
 
         Raises:
             TransportError: It does not answer, or does not come to rest.
@@ -153,8 +157,9 @@ class RobotClient:
         if not self._armed:
             return None
         deadline = time.monotonic() + REST_TIMEOUT_S
-        self._call(topics.YUMI_STOP, self._who.encode())
-        while (description := self.describe()).state not in _RESTING:
+        # Refused if somebody else commands by now: then ours has come to rest before.
+        self._link.call(topics.YUMI_DISARM, CALL_TIMEOUT_S, self._gids)
+        while (description := self.describe()).state == EndpointState.STOPPING.value:
             if time.monotonic() > deadline:
                 raise TransportError(f"the arm does not rest within {REST_TIMEOUT_S:g} s")
             time.sleep(0.005)

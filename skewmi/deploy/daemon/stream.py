@@ -46,8 +46,9 @@ class Samples(Protocol):
     def a(self) -> Array: ...
 
 
-Check = Callable[[Array, Array, Array, tuple[Array, Array, Array]], LimitUsage | None]
-"""(q, v, a, motion in progress at the first sample) -> usage; raises LimitViolationError."""
+Check = Callable[[Array, Array, Array, tuple[Array, Array, Array], Array], LimitUsage | None]
+"""(q, v, a, motion in progress at the first sample, its positions at the three grid steps before)
+-> usage; raises LimitViolationError."""
 
 
 @dataclass
@@ -156,8 +157,9 @@ class ChunkStream:
         """
         assert self.sent is not None
         previous = self.sent.at(self._next_ns)
+        earlier = np.array([self.sent.at(self._next_ns - age * GRID_NS)[0] for age in (3, 2, 1)])
         for stage, check in self._checks:
-            usage = check(chunk.q, chunk.v, chunk.a, previous)
+            usage = check(chunk.q, chunk.v, chunk.a, previous, earlier)
             if usage is not None:
                 self.usage = self.usage.merged(usage)
             self._times.lap(stage)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from array import array
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -10,12 +12,12 @@ import numpy as np
 class CycleTimes:
     """A stopwatch with named stages; each lap ends one stage and begins the next.
 
-    Adds integers to lists and nothing else, so that it can stay in the hot loop.
+    Appends integers and does nothing else, so that it can stay in the hot loop.
     """
 
     def __init__(self) -> None:
-        self._laps: dict[str, list[int]] = {}
-        self._cycles: list[int] = []
+        self._laps: dict[str, array[int]] = {}
+        self._cycles = array("q")
         self._started_ns = 0
         self._lap_ns = 0
 
@@ -27,7 +29,9 @@ class CycleTimes:
     def lap(self, stage: str) -> None:
         """The time since the last lap, or the start, belonged to `stage`."""
         now = time.monotonic_ns()
-        self._laps.setdefault(stage, []).append(now - self._lap_ns)
+        if stage not in self._laps:
+            self._laps[stage] = array("q")
+        self._laps[stage].append(now - self._lap_ns)
         self._lap_ns = now
 
     def stop(self) -> None:
@@ -47,7 +51,7 @@ class CycleTimes:
         return {stage: percentiles_ms(laps) for stage, laps in self._laps.items()}
 
 
-def percentiles_ms(durations_ns: list[int]) -> dict[str, float]:
+def percentiles_ms(durations_ns: Sequence[int]) -> dict[str, float]:
     """p50, p99, p99.9 and the maximum of durations, ms; zeros of none."""
     if not durations_ns:
         return {"p50": 0.0, "p99": 0.0, "p99.9": 0.0, "max": 0.0}

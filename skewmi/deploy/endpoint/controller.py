@@ -25,9 +25,14 @@ from skewmi.deploy.endpoint.states import (
     EndpointEvent,
     EndpointState,
 )
-from skewmi.deploy.endpoint.validation import BrokenStreamError, ChunkValidator
+from skewmi.deploy.endpoint.validation import (
+    BrokenStreamError,
+    ChunkValidator,
+    check_fresh,
+    check_size,
+)
 from skewmi.deploy.state_machine import StateMachine, Transition
-from skewmi.deploy.wire.messages import TrajectoryChunk, decode_chunk
+from skewmi.deploy.wire.messages import JointStates, TrajectoryChunk, decode_chunk, peek_stamp_ns
 from skewmi.errors import CommandRefusedError, TransportError
 from skewmi.policy_io import Array
 
@@ -36,6 +41,19 @@ LEASE_NS = 2_000_000_000
 
 TRACKING_LIMIT = 0.35
 """Largest |measured - commanded| of a joint, rad, before the endpoint calls it a fault."""
+
+
+_NOTED_REFUSALS = 32
+"""Reasons of others than the commander that are kept for the next status; all are counted."""
+
+_LONGEST_REASON = 300
+"""Characters; reasons hold what strangers have sent."""
+
+
+def printable(text: str) -> str:
+    """A line of text from anywhere, fit to be told and kept: no control characters, not long."""
+    line = "".join(c for c in text[:_LONGEST_REASON] if c.isprintable())
+    return line + (" ..." if len(text) > _LONGEST_REASON else "")
 
 
 class Refusal(NamedTuple):
@@ -87,6 +105,9 @@ class EndpointController:
         self.refused_of_commander = 0
         """Since the present commander armed."""
         self.refusals: list[Refusal] = []
+        self.stops = 0
+        """How often somebody asked to stop, in whatever state: a commander that was between two
+        episodes must not take the arm again as if nothing had been said."""
 
     @property
     def state(self) -> EndpointState:
@@ -116,14 +137,17 @@ class EndpointController:
         Returns:
             Whether it was accepted; if not, `take_refusals` says why.
         """
-        stamp_ns = None
+        self.check_lease(now_ns)
         try:
-            chunk = decode_chunk(payload)
-            stamp_ns = chunk.stamp_ns
-            self._accept(chunk, gid, sequence, now_ns)
+            # Decoding comes last, and only for who may command at all: it may take long.
+            check_size(payload)
+            self._check_state()
+            self.lease.check(gid, sequence)
+            self._accept(decode_chunk(payload), gid, sequence, now_ns)
         except (CommandRefusedError, TransportError) as error:
             out_of_step = isinstance(error, BrokenStreamError)
             ours = gid == self.lease.holder
+            stamp_ns = peek_stamp_ns(payload)
             self.note_refusal(Refusal(str(error), out_of_step, stamp_ns, ours))
             return False
         self.accepted += 1
@@ -133,19 +157,21 @@ class EndpointController:
         """Count a refused command, for the status."""
         self.refused += 1
         self.refused_of_commander += refusal.of_commander
-        self.refusals.append(refusal)
+        if refusal.of_commander or len(self.refusals) < _NOTED_REFUSALS:
+            self.refusals.append(refusal._replace(reason=printable(refusal.reason)))
 
     def take_refusals(self) -> list[Refusal]:
         """What has been refused since the last call."""
         taken, self.refusals = self.refusals, []
         return taken
 
-    def _accept(self, chunk: TrajectoryChunk, gid: bytes, sequence: int, now_ns: int) -> None:
+    def _check_state(self) -> None:
         if self.state not in ACCEPTS_COMMANDS:
             raise CommandRefusedError(
                 f"the endpoint is {self.state.value} ({self.machine.reason}); arm it first"
             )
-        self.lease.check(gid, sequence)
+
+    def _accept(self, chunk: TrajectoryChunk, gid: bytes, sequence: int, now_ns: int) -> None:
         tick = self._validator.check(chunk, self.plan, self.tick_index)
         if tick <= self.newest_tick:
             raise CommandRefusedError(
@@ -163,12 +189,7 @@ class EndpointController:
         target = self.plan.point(self.tick_index)
         try:
             self._backend.step(target)
-            error = self._tracking_error(target.q)
-            if error > self._tracking_limit:
-                raise BackendFaultError(
-                    f"a joint is {error:.3g} rad from its command; "
-                    f"at most {self._tracking_limit:g} rad are allowed"
-                )
+            self._check_tracking(target.q)
         except BackendFaultError as fault:
             self._fire(EndpointEvent.FAULT, str(fault))
         self.tick_index += 1
@@ -177,17 +198,30 @@ class EndpointController:
             if self.state is EndpointState.DISARMED:
                 self.lease.close()
 
-    def _tracking_error(self, commanded: Array) -> float:
-        measured = self._backend.measure().position[: len(commanded)]
-        return float(np.abs(measured - commanded).max())
+    def _check_tracking(self, commanded: Array) -> None:
+        measured = self._arm()
+        error = float(np.abs(measured - commanded).max())
+        if error <= self._tracking_limit:
+            return
+        if np.isfinite(measured).all():
+            # Whatever holds the arm shall not be pulled at, nor the arm snap back once it is free.
+            self.plan.rest_at(measured, self.tick_index)
+        raise BackendFaultError(
+            f"a joint is {error:.3g} rad from its command; "
+            f"at most {self._tracking_limit:g} rad are allowed"
+        )
+
+    def _arm(self) -> Array:
+        """Measured arm joints, rad. Shape (7,)."""
+        return self._backend.measure().position[: len(self._backend.joint_names)]
 
     def check_lease(self, now_ns: int) -> None:
         """Take the arm from a commander that has been silent for too long."""
         if self.lease.expired(now_ns):
             seconds = self.lease.timeout_ns / 1e9
+            self._drop_what_has_not_begun()
             self._fire(EndpointEvent.COMMANDER_LOST, f"no command for {seconds:g} s")
-            if self.state is EndpointState.DISARMED:
-                self.lease.close()
+            self._settle()
 
     def arm(self, gids: bytes, now_ns: int) -> None:
         """Accept chunks from now on.
@@ -200,6 +234,7 @@ class EndpointController:
         Raises:
             CommandRefusedError: Somebody else commands, or the state does not allow it.
         """
+        self.check_lease(now_ns)
         if self.state in (EndpointState.STOPPING, EndpointState.FAULT):
             raise CommandRefusedError(
                 f"the endpoint is {self.state.value} ({self.machine.reason}); "
@@ -208,6 +243,8 @@ class EndpointController:
         gid, gripper = gids[:16], gids[16:32]
         if self.state in ACCEPTS_COMMANDS and gid and gid == self.lease.holder:
             self.refused_of_commander = 0
+            self.lease.gripper_holder = gripper or self.lease.gripper_holder
+            self.lease.extend(now_ns)
             return
         self.lease.open(now_ns)
         self.refused_of_commander = 0
@@ -216,29 +253,91 @@ class EndpointController:
         self._fire(EndpointEvent.ARM, f"armed by {gid.hex()[:8] or 'a service call'}")
 
     def stop(self, who: str) -> None:
-        """Brake along the accepted plan's tail, then disarm; at rest, acknowledge a fault."""
+        """Brake along the accepted plan's tail, then disarm; at rest, acknowledge a fault.
+
+        Args:
+            who: Told in the reason; what cannot be printed, and more than a line of it, is not.
+
+        Raises:
+            CommandRefusedError: In fault, and the arm has not come to rest yet.
+        """
+        self.stops += 1
         if self.state is EndpointState.FAULT:
             if not self.plan.at_rest(self.tick_index):
-                return
+                raise CommandRefusedError(
+                    f"in fault ({self.machine.reason}), and the arm has yet to come to rest: stop "
+                    "again to acknowledge it"
+                )
             # The arm may be far from its command: hold it where it is, do not jerk it back.
-            arm = self.measure().position[: len(self._backend.joint_names)]
-            self.plan.rest_at(arm, self.tick_index)
-        self._fire(EndpointEvent.STOP, f"stop asked for by {who}")
+            self.plan.rest_at(self._arm(), self.tick_index)
+        self._drop_what_has_not_begun()
+        self._fire(EndpointEvent.STOP, f"stop asked for by {printable(who)}")
+        self._settle()
+
+    def _settle(self) -> None:
         if self.state is EndpointState.STOPPING and self.plan.at_rest(self.tick_index):
             self._fire(EndpointEvent.AT_REST, "the plan has ended")
         if self.state is EndpointState.DISARMED:
             self.lease.close()
 
+    def _drop_what_has_not_begun(self) -> None:
+        """A chunk may be due in a while: an arm that rests until then stays where it is."""
+        now, before = self.plan.point(self.tick_index), self.plan.point(self.tick_index - 1)
+        if not (now.v.any() or now.a.any() or (now.q != before.q).any()):
+            self.plan.rest_at(now.q, self.tick_index)
+
+    def disarm(self, gids: bytes) -> None:
+        """The commander gives the arm back: brake along the accepted plan's tail, then disarm.
+
+        At rest or stopping already, and in fault, nothing changes.
+
+        Args:
+            gids: As in `arm`.
+
+        Raises:
+            CommandRefusedError: Somebody else commands.
+        """
+        if self.state not in ACCEPTS_COMMANDS:
+            return
+        gid, holder = gids[:16], self.lease.holder
+        if holder is None or gid != holder:
+            raise CommandRefusedError(
+                f"{gid.hex()[:8] or 'the caller'} is not the commander "
+                f"({'none yet' if holder is None else holder.hex()[:8]}); anybody may stop the "
+                "arm (skewmi stop)"
+            )
+        self._drop_what_has_not_begun()
+        self._fire(EndpointEvent.DISARM, f"disarmed by its commander {gid.hex()[:8]}")
+        self._settle()
+
     def reset_scene(self, seed: int) -> None:
         """Put scene and arm back to the start of an episode.
 
         Raises:
-            CommandRefusedError: The arm is moving, or the scene is real.
+            CommandRefusedError: The arm is moving, somebody commands it, or the scene is real.
         """
         if not self.plan.at_rest(self.tick_index):
             raise CommandRefusedError("the arm is moving; stop it before resetting the scene")
+        if self.lease.holder is not None and self.lease.sequence > 0:
+            raise CommandRefusedError(
+                f"commander {self.lease.holder.hex()[:8]} works in the scene; reset it before its "
+                "first trajectory, or once it has disarmed"
+            )
         q = self._backend.reset_scene(seed)
         self.plan.rest_at(q, self.tick_index)
+
+    def follow_gripper(self, command: JointStates, gid: bytes, sequence: int | None = None) -> None:
+        """`open_gripper` for a command as it was received.
+
+        Raises:
+            CommandRefusedError: Not this gripper's joint, or not made just now; or as there.
+        """
+        finger = self._backend.measure().names[len(self._backend.joint_names)]
+        if command.names != (finger,):
+            got = ", ".join(command.names[:5]) or "none"
+            raise CommandRefusedError(f"one opening, that of {finger}, is expected; got {got}")
+        check_fresh(command.stamp_ns, self.clock_ns)
+        self.open_gripper(float(command.position[0]), gid, sequence)
 
     def open_gripper(self, opening: float, gid: bytes, sequence: int | None = None) -> None:
         """Move the fingers, for the commander only.
@@ -255,6 +354,7 @@ class EndpointController:
             raise CommandRefusedError(f"the endpoint is {self.state.value}; arm it first")
         self.lease.check_gripper(gid, sequence)
         self._backend.open_gripper(opening)
+        self.lease.renew_gripper(gid, sequence)
 
     def _fire(self, event: EndpointEvent, reason: str) -> None:
         self.machine.fire(event, reason, self.clock_ns)

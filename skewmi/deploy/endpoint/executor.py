@@ -8,6 +8,9 @@ import numpy as np
 
 from skewmi.policy_io import Array
 
+REMEMBERED = 3
+"""Samples before the one that is due next that are kept: third differences reach so far back."""
+
 
 class PlanPoint(NamedTuple):
     """Commanded joint state at one tick. Each of shape (n_joints,); rad, rad/s, rad/s^2."""
@@ -53,8 +56,19 @@ class PlanExecutor:
         index = min(max(tick - self._first_tick, 0), len(self._q) - 1)
         return PlanPoint(self._q[index], self._v[index], self._a[index])
 
+    def before(self, tick: int) -> Array:
+        """Positions at the `REMEMBERED` ticks before `tick`, oldest first, rad.
+
+        Args:
+            tick: Not before the one that is due next.
+
+        Returns:
+            Shape (REMEMBERED, n_joints).
+        """
+        return np.array([self.point(tick - age).q for age in range(REMEMBERED, 0, -1)])
+
     def splice(self, tick: int, q: Array, v: Array, a: Array, now: int) -> None:
-        """Replace the plan from `tick` on; samples before `now` are forgotten.
+        """Replace the plan from `tick` on; all but the last samples before `now` are forgotten.
 
         Args:
             tick: When the first sample is due, at least `now`.
@@ -64,9 +78,10 @@ class PlanExecutor:
             now: The tick that is due next.
         """
         assert tick >= now
-        kept = np.arange(now, tick) - self._first_tick
+        first = now - REMEMBERED
+        kept = np.arange(first, tick) - self._first_tick
         kept = np.clip(kept, 0, len(self._q) - 1)
         self._q = np.concatenate([self._q[kept], q])
         self._v = np.concatenate([self._v[kept], v])
         self._a = np.concatenate([self._a[kept], a])
-        self._first_tick = now
+        self._first_tick = first

@@ -67,7 +67,7 @@ class CommanderLease:
             )
 
     def check_gripper(self, gid: bytes, sequence: int | None = None) -> None:
-        """As `check`, for gripper commands; the first sender becomes the only one.
+        """As `check`, for gripper commands.
 
         Args:
             gid: Of the sender.
@@ -81,15 +81,27 @@ class CommanderLease:
                 f"sender {gid.hex()[:8]} is not the gripper's commander "
                 f"{self.gripper_holder.hex()[:8]}"
             )
-        if sequence is not None:
-            # The first one opens the count: some ROS 2 nodes start at 0.
-            if self.gripper_holder is not None and sequence <= self.gripper_sequence:
-                raise CommandRefusedError(
-                    f"gripper sequence {sequence} does not follow {self.gripper_sequence}: "
-                    "repeated or overtaken"
-                )
-            self.gripper_sequence = sequence
+        # The first one opens the count: some ROS 2 nodes start at 0.
+        if (
+            sequence is not None
+            and self.gripper_holder is not None
+            and sequence <= self.gripper_sequence
+        ):
+            raise CommandRefusedError(
+                f"gripper sequence {sequence} does not follow {self.gripper_sequence}: "
+                "repeated or overtaken"
+            )
+
+    def renew_gripper(self, gid: bytes, sequence: int | None = None) -> None:
+        """Note a gripper command that was followed after `check_gripper`: the first sender of one
+        becomes the only one."""
         self.gripper_holder = gid
+        if sequence is not None:
+            self.gripper_sequence = sequence
+
+    def extend(self, now_ns: int) -> None:
+        """The commander has shown that it is there."""
+        self._renewed_ns = now_ns
 
     def renew(self, gid: bytes, sequence: int, now_ns: int) -> None:
         """Note a chunk that was accepted after `check`."""

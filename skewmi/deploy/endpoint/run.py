@@ -48,12 +48,12 @@ def limit_check(limits: JointLimits, workspace: Workspace) -> LimitCheck:
     room = WORKSPACE_TOLERANCE + _ROUNDING
     low, high = np.array(workspace.low) - base - room, np.array(workspace.high) - base + room
 
-    def check(q: Array, v: Array, a: Array, present: PlanPoint) -> object:
+    def check(q: Array, v: Array, a: Array, present: PlanPoint, earlier: Array) -> object:
         # The first sample is where the accepted plan is, or the checker refuses it: their
         # distance, 1e-9 rad at most, is far less than the rounding that is allowed for.
         start = forward.begin(q)[0][0]
         checker = inside if bool(((low <= start) & (start <= high)).all()) else anywhere
-        return checker.check(q, v, a, previous=present)
+        return checker.check(q, v, a, previous=present, earlier=earlier)
 
     return check
 

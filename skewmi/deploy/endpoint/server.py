@@ -24,7 +24,7 @@ from skewmi.deploy.endpoint.base import (
 )
 from skewmi.deploy.endpoint.controller import EndpointController, Refusal
 from skewmi.deploy.endpoint.states import ACCEPTS_COMMANDS, EndpointState
-from skewmi.deploy.endpoint.validation import check_fresh
+from skewmi.deploy.endpoint.validation import check_size
 from skewmi.deploy.state_machine import Transition
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.channels import Request
@@ -91,13 +91,14 @@ class EndpointServer:
         self._options = options
         controller.machine.on_transition = self._on_transition
         self._commands = link.subscribe(topics.YUMI_TRAJECTORY, depth=None)
-        self._gripper = link.subscribe(topics.YUMI_GRIPPER)
+        self._gripper = link.subscribe(topics.YUMI_GRIPPER, depth=None)
         self._joint_states = link.publisher(topics.YUMI_JOINT_STATES)
         self._scene_states = link.publisher(topics.YUMI_SCENE_STATES)
         self._status = link.publisher(topics.YUMI_STATUS)
         self._services = [
             link.service(topics.YUMI_DESCRIBE, self._describe, polled=True),
             link.service(topics.YUMI_ARM, self._arm, polled=True),
+            link.service(topics.YUMI_DISARM, self._disarm, polled=True),
             link.service(topics.YUMI_STOP, self._stop, polled=True),
             link.service(topics.YUMI_SCENE_RESET, self._reset_scene, polled=True),
         ]
@@ -165,15 +166,13 @@ class EndpointServer:
             self._controller.receive(
                 sample.payload, sample.gid, sample.sequence, time.monotonic_ns()
             )
-        gripper = self._gripper.take()
-        if gripper is not None:
+        for sample in self._gripper.drain():
             try:
-                command = decode_joint_states(gripper.payload)
-                check_fresh(command.stamp_ns, self._controller.clock_ns)
-                opening = float(command.position[0])
-                self._controller.open_gripper(opening, gripper.gid, gripper.sequence)
-            except (CommandRefusedError, TransportError, IndexError) as error:
-                ours = gripper.gid == self._controller.lease.gripper_holder
+                check_size(sample.payload)
+                command = decode_joint_states(sample.payload)
+                self._controller.follow_gripper(command, sample.gid, sample.sequence)
+            except (CommandRefusedError, TransportError) as error:
+                ours = sample.gid == self._controller.lease.gripper_holder
                 self._controller.note_refusal(Refusal(f"gripper: {error}", of_commander=ours))
         for service in self._services:
             service.poll()
@@ -214,7 +213,8 @@ class EndpointServer:
         self, stamp_ns: int, transition: Transition[EndpointState] | None = None
     ) -> None:
         controller = self._controller
-        refusals = controller.take_refusals()
+        # The commander's own come first: they are what it has to answer for.
+        refusals = sorted(controller.take_refusals(), key=lambda r: not r.of_commander)
         level = OK if controller.refused == 0 else WARN
         if controller.state is EndpointState.FAULT:
             level = ERROR
@@ -258,6 +258,7 @@ class EndpointServer:
             clock_ns=controller.clock_ns,
             joint_names=backend.joint_names,
             commanded_position=controller.commanded_position(),
+            stops=controller.stops,
             limits=limit_values(limits),
             contact=backend.contact(),
             scene=backend.scene_json if with_scene else "",
@@ -266,6 +267,10 @@ class EndpointServer:
     def _arm(self, request: Request) -> TriggerReply:
         self._controller.arm(request.extra, time.monotonic_ns())
         return TriggerReply(True, f"armed ({self._controller.state.value})")
+
+    def _disarm(self, request: Request) -> TriggerReply:
+        self._controller.disarm(request.extra)
+        return TriggerReply(True, self._controller.state.value)
 
     def _stop(self, request: Request) -> TriggerReply:
         who = request.extra.decode(errors="replace") or f"client {request.gid.hex()[:8]}"

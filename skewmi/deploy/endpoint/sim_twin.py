@@ -145,11 +145,12 @@ class SimTwin:
         self._pending.append(controls)
         self._data.ctrl[:] = self._pending.popleft()
         mujoco.mj_step(self.scene.model, self._data, self._substeps)
-        raised = [
-            mujoco.mjtWarning(index).name
-            for index in range(mujoco.mjtWarning.mjNWARNING.value)
-            if self._data.warning[index].number
-        ]
+        raised = []
+        for index in range(mujoco.mjtWarning.mjNWARNING.value):
+            if self._data.warning[index].number:
+                raised.append(mujoco.mjtWarning(index).name)
+                # Told once: a fault that was acknowledged is over.
+                self._data.warning[index].number = 0
         if raised:
             raise BackendFaultError(f"the simulation raised {', '.join(raised)}")
         self._read_sensors()

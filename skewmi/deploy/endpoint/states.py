@@ -29,6 +29,8 @@ class EndpointEvent(Enum):
     """The accepted plan has been followed to its end."""
     STOP = "stop"
     """Somebody asked to stop; in fault it acknowledges the fault."""
+    DISARM = "disarm"
+    """The commander gives the arm back; in fault it acknowledges nothing."""
     COMMANDER_LOST = "commander lost"
     """The commander has been silent for longer than its lease."""
     FAULT = "fault"
@@ -44,10 +46,12 @@ ENDPOINT_TABLE = TransitionTable(
         (_S.DISARMED, _E.FAULT): _S.FAULT,
         (_S.HOLDING, _E.CHUNK): _S.EXECUTING,
         (_S.HOLDING, _E.STOP): _S.DISARMED,
+        (_S.HOLDING, _E.DISARM): _S.DISARMED,
         (_S.HOLDING, _E.COMMANDER_LOST): _S.DISARMED,
         (_S.HOLDING, _E.FAULT): _S.FAULT,
         (_S.EXECUTING, _E.AT_REST): _S.HOLDING,
         (_S.EXECUTING, _E.STOP): _S.STOPPING,
+        (_S.EXECUTING, _E.DISARM): _S.STOPPING,
         (_S.EXECUTING, _E.COMMANDER_LOST): _S.STOPPING,
         (_S.EXECUTING, _E.FAULT): _S.FAULT,
         (_S.STOPPING, _E.AT_REST): _S.DISARMED,

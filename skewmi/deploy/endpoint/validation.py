@@ -27,8 +27,12 @@ class BrokenStreamError(CommandRefusedError):
 MAX_COMMAND_AGE_NS = 2_000_000_000
 """How far a gripper command's stamp may be from now: what a busy computer may need at worst."""
 
-LimitCheck = Callable[[Array, Array, Array, PlanPoint], object]
-"""(q, v, a, plan at the chunk's first tick) -> raises LimitViolationError."""
+MAX_CHUNK_BYTES = 128 * 1024
+"""Longest command that is decoded: 500 points of seven joints take 100 kB."""
+
+LimitCheck = Callable[[Array, Array, Array, PlanPoint, Array], object]
+"""(q, v, a, plan at the chunk's first tick, its positions before that) -> raises
+LimitViolationError."""
 
 
 @dataclass(frozen=True)
@@ -81,10 +85,22 @@ class ChunkValidator:
         check_splice(chunk, plan.point(tick), self.rules)
         check_rest(chunk, self.rules)
         try:
-            self._check_limits(chunk.q, chunk.v, chunk.a, plan.point(tick))
+            self._check_limits(chunk.q, chunk.v, chunk.a, plan.point(tick), plan.before(tick))
         except LimitViolationError as error:
             raise CommandRefusedError(str(error)) from error
         return tick
+
+
+def check_size(payload: bytes) -> None:
+    """Bounds the work that one message can cause before anything of it is known to be right.
+
+    Raises:
+        CommandRefusedError: How long the message is.
+    """
+    if len(payload) > MAX_CHUNK_BYTES:
+        raise CommandRefusedError(
+            f"the command has {len(payload)} bytes; at most {MAX_CHUNK_BYTES} are read"
+        )
 
 
 def check_structure(chunk: TrajectoryChunk, rules: ValidationRules) -> None:

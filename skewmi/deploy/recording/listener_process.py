@@ -50,7 +50,7 @@ class ListenerProcess:
             start_new_session=True,
         )
         # A listener connects even if its owner listens.
-        client = replace(config, connect=config.connect or config.listen, listen=())
+        client = replace(config, connect=config.connect or config.listen, listen=(), endpoint=False)
         self.write({**task, "config": _config_json(client)})
         assert self.process.stdout is not None
         ready, _, _ = select.select([self.process.stdout], [], [], _START_TIMEOUT_S)

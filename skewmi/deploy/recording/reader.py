@@ -35,9 +35,10 @@ _TORN = (
     OSError,
     RuntimeError,  # lz4
     MemoryError,
+    OverflowError,  # a length that no file can have
     zstandard.ZstdError,
 )
-"""What the MCAP reader raises where a file has been cut off."""
+"""What the MCAP reader raises where a file has been cut off or damaged."""
 
 _MAGIC = b"\x89MCAP0\r\n"
 

@@ -18,6 +18,8 @@ CHUNK_BYTES = 32 * 1024
 """Small, since an unfinished chunk is what a kill of the writer loses: at most 60 ms of a
 running arm, 0.7 s of a resting one."""
 
+_SEQUENCE_MASK = 0xFFFFFFFF
+
 
 class RecordingWriter:
     """One MCAP file of ROS 2 messages; a context manager that finishes it."""
@@ -43,23 +45,31 @@ class RecordingWriter:
         log_time_ns: int | None = None,
         publish_time_ns: int | None = None,
     ) -> None:
-        """Add a message.
+        """Add a message; nothing that its sender may have written is refused.
 
         Args:
             topic: Where it was published.
             payload: Its CDR bytes.
-            sequence: Publisher's count.
+            sequence: Publisher's count; the file keeps its low 32 bits.
             log_time_ns: Wall clock now, ns since 1970; None looks at the clock.
             publish_time_ns: Publisher's wall clock, ns since 1970; None means `log_time_ns`.
+                Earlier ones are written as 0.
+
+        Raises:
+            OSError: The file cannot be written.
         """
         if log_time_ns is None:
             log_time_ns = time.time_ns()
+        if publish_time_ns is None:
+            publish_time_ns = log_time_ns
+        # On the wire all of these are int64. One that MCAP's fields cannot hold would leave half
+        # a record in the open chunk, which then nobody can read.
         self._writer.add_message(
             self._channel(topic),
-            log_time_ns,
+            max(0, log_time_ns),
             payload,
-            log_time_ns if publish_time_ns is None else publish_time_ns,
-            sequence,
+            max(0, publish_time_ns),
+            sequence & _SEQUENCE_MASK,
         )
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:

@@ -20,6 +20,9 @@ _log = logging.getLogger(__name__)
 _POLL_S = 20e-6
 """Sleep between two looks at an empty channel; the kernel makes about 80 us of it."""
 
+_MOST_AT_ONCE = 8
+"""Requests that one `Service.poll` answers: whoever asks without end must not keep it there."""
+
 
 @dataclass(frozen=True)
 class Sample:
@@ -127,9 +130,9 @@ class Service:
             threading.Thread(target=self._serve, name="skewmi-service", daemon=True).start()
 
     def poll(self) -> int:
-        """Answer, in the calling thread, the requests that came since the last call; how many."""
+        """Answer waiting requests in the calling thread, the next eight at most; how many."""
         answered = 0
-        while (query := self._queries.try_recv()) is not None:
+        while answered < _MOST_AT_ONCE and (query := self._queries.try_recv()) is not None:
             self._answer(query)
             answered += 1
         return answered

@@ -138,6 +138,17 @@ def decode_chunk(payload: bytes) -> TrajectoryChunk:
     )
 
 
+def peek_stamp_ns(payload: bytes) -> int | None:
+    """The stamp of a message that begins with a header, without decoding the rest, ns.
+
+    None if there is none; for messages that are not looked at any further.
+    """
+    if payload[:4] != _CDR_HEADER or len(payload) < 12:
+        return None
+    sec, nanosec = struct.unpack_from("<iI", payload, 4)
+    return int(sec) * _NS_PER_S + int(nanosec)
+
+
 def encode_joint_states(states: JointStates) -> bytes:
     """sensor_msgs/JointState of joint values.
 

@@ -52,8 +52,10 @@ POLICY_ACTION = Topic("/skewmi/policy_action", JOINT_STATE)
 
 YUMI_ARM = Service("/yumi/arm")
 """Become the one commander; refused with a reason."""
+YUMI_DISARM = Service("/yumi/disarm")
+"""Give the arm back: smooth stop, for the commander alone. Acknowledges no fault."""
 YUMI_STOP = Service("/yumi/stop")
-"""Smooth stop; anybody may call it."""
+"""Smooth stop; anybody may call it. Acknowledges a fault once the arm rests."""
 YUMI_DESCRIBE = Service("/yumi/describe")
 """The endpoint describes itself: JSON in the reply's message."""
 YUMI_SCENE_RESET = Service("/yumi/scene/reset")
@@ -68,4 +70,4 @@ TOPICS = (
     POLICY_OBSERVATION,
     POLICY_ACTION,
 )
-SERVICES = (YUMI_ARM, YUMI_STOP, YUMI_DESCRIBE, YUMI_SCENE_RESET)
+SERVICES = (YUMI_ARM, YUMI_DISARM, YUMI_STOP, YUMI_DESCRIBE, YUMI_SCENE_RESET)

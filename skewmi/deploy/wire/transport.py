@@ -12,6 +12,9 @@ In lock-step both sides wait for each other's next message, so a dropped one wou
 run: then sending blocks instead. Zenoh closes a session that stays blocked for five seconds,
 which in lock-step can only mean that the peer is gone.
 
+Replies block in real time, too: Zenoh lets the caller choose how they are sent. Who does not read
+them is therefore put out after ten milliseconds, or it would hold up the loop that answers.
+
 A subscription takes effect some milliseconds after `subscribe` returns, and Zenoh's matching
 status tells of it before messages flow: whoever must not miss a first message waits for one,
 or asks a service first.
@@ -44,6 +47,13 @@ __all__ = ["DEFAULT_LOCATOR", "LatestReader", "Link", "Publisher", "Sample", "Tr
 
 DEFAULT_LOCATOR = "tcp/127.0.0.1:7447"
 """Where the endpoint listens; 7447 is also where ROS 2 nodes look for their router."""
+
+MAX_MESSAGE_BYTES = 256 * 1024
+"""Longest message that an endpoint takes in; the longest chunk has some 110 kB."""
+
+_REPLY_WAIT_US = 10_000
+"""How long a reply in real time waits for room in the caller's queue before its session is
+closed, us; two and a half ticks of the endpoint's loop."""
 
 
 @dataclass(frozen=True)
@@ -104,9 +114,17 @@ class TransportConfig:
             # sixteen, the most it allows, ride out about a second of a running arm.
             "transport/link/tx/queue/size/real_time": 16,
             "transport/link/tx/queue/size/interactive_high": 16,
+            # Between programs of one machine it is no faster, and goes round the bound below.
+            "transport/shared_memory/enabled": False,
             "listen/endpoints": [DEFAULT_LOCATOR] if listens else [],
             "connect/endpoints": [] if listens else [DEFAULT_LOCATOR],
         }
+        if listens:
+            # Zenoh allows a gigabyte, which one message could make the endpoint put together.
+            defaults["transport/link/rx/max_message_size"] = MAX_MESSAGE_BYTES
+        if listens and not self.lock_step:
+            block = "transport/link/tx/queue/congestion_control/block"
+            defaults[f"{block}/wait_before_close"] = _REPLY_WAIT_US
         config = zenoh_file.load(self.zenoh_config, defaults)
         if self.connect or (self.listen and self.zenoh_config is None):
             config.insert_json5("connect/endpoints", json.dumps(self.connect))
@@ -129,7 +147,8 @@ class TransportConfig:
     def unprotected(self) -> tuple[str, ...]:
         """Locators on which other machines reach this session without a certificate."""
         config = self.zenoh()
-        return tuple(filter(zenoh_file.is_unprotected, zenoh_file.locators(config, "listen")))
+        locators = zenoh_file.locators(config, "listen")
+        return tuple(where for where in locators if zenoh_file.is_unprotected(where, config))
 
 
 class Link:

@@ -79,22 +79,41 @@ def check_protocols(config: Any, path: Path | None) -> None:
             )
 
 
-def is_unprotected(locator: str) -> bool:
+def is_unprotected(locator: str, config: Any) -> bool:
     """Whether whoever reaches a locator from another machine is let in without a certificate.
 
-    Only links that stay on this machine and TLS count as protected; whether TLS asks for the
-    client's certificate is for the rest of the configuration to say.
+    Args:
+        locator: Where a session listens.
+        config: The session's Zenoh configuration.
     """
-    protocol, _, address = locator.partition("/")
-    if protocol in ("tls", "quic", "unixsock-stream", "unixpipe"):
+    protocol, _, rest = locator.partition("/")
+    if protocol in ("unixsock-stream", "unixpipe"):
         return False
-    host = address.partition("#")[0].partition("?")[0].rpartition(":")[0].strip("[]")
+    address, _, own = rest.partition("#")
+    if protocol in ("tls", "quic") and _asks_for_certificates(own, config):
+        return False
+    host = address.partition("?")[0].rpartition(":")[0].strip("[]")
     if host == "localhost":
         return False
     try:
         return not ipaddress.ip_address(host).is_loopback
     except ValueError:
         return True
+
+
+def _asks_for_certificates(own: str, config: Any) -> bool:
+    """Whether a TLS listener demands the client's certificate; by itself TLS does not.
+
+    Args:
+        own: The locator's settings, as in `enable_mtls=true;so_sndbuf=1`; they come before the
+            configuration's.
+        config: The session's Zenoh configuration.
+    """
+    for setting in own.split(";"):
+        name, _, value = setting.partition("=")
+        if name == "enable_mtls":
+            return value == "true"
+    return json.loads(config.get_json("transport/link/tls/enable_mtls")) is True
 
 
 def first_line(error: Exception) -> str:

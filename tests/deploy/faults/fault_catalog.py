@@ -97,7 +97,7 @@ class Row:
         return cells.get(phase, self.stopping)
 
 
-ASKED = Expect(AS_ASKED, "stop asked for by skewmi_deploy")
+ASKED = Expect(AS_ASKED, "disarmed by its commander")
 REFUSED = Expect(AS_ASKED, "arm it first")
 PATIENT_MS = 100.0
 """Lead of runs that shall go on without a pause on a busy machine, too."""
@@ -185,7 +185,7 @@ GROUPS: dict[str, tuple[Row, ...]] = {
             Fault("bytes cut short", cut_short, cut_short_late, lock_step=True),
             Expect(STOPPED, "malformed trajectory_msgs/msg/JointTrajectory"),
             Expect(STOPPED, "malformed trajectory_msgs/msg/JointTrajectory"),
-            Expect(AS_ASKED, "malformed trajectory_msgs/msg/JointTrajectory"),
+            Expect(AS_ASKED, "arm it first"),
         ),
         _chunk_row("joints in another order", sorted_names, "in this order"),
         _chunk_row("joints of the other arm", left_arm, "in this order"),
@@ -234,7 +234,7 @@ GROUPS: dict[str, tuple[Row, ...]] = {
             Fault("daemon killed (-9)", killed, killed),
             LEASE_ENDS,
             LEASE_ENDS,
-            Expect(DISARMED, "stop asked for by skewmi_deploy"),
+            Expect(DISARMED, "disarmed by its commander"),
             go_on=AFTER_LEASE,
         ),
         Row(

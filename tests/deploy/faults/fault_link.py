@@ -236,7 +236,7 @@ class FaultLink:
             )
             for reply in replies:
                 if reply.ok is not None:
-                    if service is topics.YUMI_STOP and self.on_stopped is not None:
+                    if service is topics.YUMI_DISARM and self.on_stopped is not None:
                         action, self.on_stopped = self.on_stopped, None
                         action()
                     query.reply(query.key_expr, reply.ok.payload, attachment=reply.ok.attachment)

@@ -39,7 +39,7 @@ def check(start: Array, goal: Array) -> object:
     """Judge a slow motion from rest to rest; also the judgement of its hand, m outside."""
     zero = np.zeros(7)
     q, v, a = motion((start, zero, zero), goal, SLOW, 10.0, 500.0)
-    return CHECK(q, v, a, PlanPoint(start, zero, zero))
+    return CHECK(q, v, a, PlanPoint(start, zero, zero), np.tile(start, (3, 1)))
 
 
 @settings(max_examples=40, deadline=None)
