@@ -31,6 +31,7 @@ KEPT_OF_DEPLOY = (
     "missed_cycles",
     "granted",
     "stops",
+    "contact",
 )
 
 
