@@ -118,22 +118,43 @@ def worst(where: str, order: int) -> tuple[float, list[tuple[Array, Array, Array
     ("where", "order"), [("start", 3), ("splice", 2), ("splice", 3), ("end", 3)]
 )
 def test_whoever_uses_the_freedom_at_an_end_is_refused(where: str, order: int) -> None:
-    share, (first, second) = worst(where, order)
+    share, chunks = worst(where, order)
     assert share > 1.03, "there is no freedom to use"
+    for scale, accepted in ((1.0, False), (1.01 / share, False), (0.99 / share, True)):
+        if accepted and order == 2:
+            continue  # jerk is broken, too
+        first, second = ([part * scale for part in chunk] for chunk in chunks)
+        for chunk in (first, second):
+            chunk[0] += (1.0 - scale) * MIDDLE
+        if accepted:
+            follow(first, second)
+        else:
+            with pytest.raises(LimitViolationError, match="over an end"):
+                follow(first, second)
+
+
+def follow(first: list[Array], second: list[Array]) -> None:
+    """Judge a chunk from rest, and one that is spliced into it, as an endpoint does."""
     plan = PlanExecutor(MIDDLE, 10)
+    rest = MIDDLE, np.zeros(7), np.zeros(7)
+    CHECKER.check(*first, previous=rest, earlier=plan.before(10))
     plan.splice(10, *first, now=10)
     at_splice = plan.point(10 + SPLICE)
-    second = tuple(np.array(part) for part in second)
     for part, value in zip(second, at_splice, strict=True):
         part[0] = value
-    rest = MIDDLE, np.zeros(7), np.zeros(7)
+    CHECKER.check(*second, previous=at_splice, earlier=plan.before(10 + SPLICE))
 
-    def follow() -> None:
-        CHECKER.check(*first, previous=rest, earlier=np.tile(MIDDLE, (3, 1)))
-        CHECKER.check(*second, previous=at_splice, earlier=plan.before(10 + SPLICE))
 
-    with pytest.raises(LimitViolationError, match="over an end"):
-        follow()
+def test_without_a_motion_in_progress_there_was_rest() -> None:
+    share, (chunk, _) = worst("start", 3)
+    for scale, accepted in ((1.01 / share, False), (0.99 / share, True)):
+        q, v, a = (part * scale for part in chunk)
+        q += (1.0 - scale) * MIDDLE
+        if accepted:
+            CHECKER.check(q, v, a)
+        else:
+            with pytest.raises(LimitViolationError, match="jerk over an end"):
+                CHECKER.check(q, v, a)
 
 
 @settings(max_examples=60, deadline=None)
@@ -176,8 +197,9 @@ def test_what_was_commanded_before_must_be_numbers() -> None:
     CHECKER.check(*still, previous=rest, earlier=earlier)
     for value in (np.nan, np.inf):
         earlier[1, 2] = value
-        with pytest.raises(LimitViolationError, match="finite"):
+        with pytest.raises(LimitViolationError, match=r"finite numbers.*earlier motion") as caught:
             CHECKER.check(*still, previous=rest, earlier=earlier)
+        assert caught.value.bound == 0.0
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -200,3 +222,19 @@ def test_bounds_over_an_end_are_sharp(of: str, joint: int, sign: float, sample: 
     earlier[sample, joint] += sign * bound * 3e-6
     with pytest.raises(LimitViolationError, match=f"{of} over an end.*joint index {joint}"):
         checker.check(*still, previous=rest, earlier=earlier)
+
+
+@pytest.mark.parametrize(("of", "room"), [("jerk", 8e-12), ("acceleration", 4e-12)])
+def test_rounding_of_positions_breaks_no_small_bound(of: str, room: float) -> None:
+    wide = {"jerk": np.full(7, 1e6), "acceleration": np.full(7, 1e3)}
+    checker = ChunkChecker(replace(LAB, **(wide | {of: np.full(7, 1e-9)})))
+    still = np.tile(MIDDLE, (4, 1)), np.zeros((4, 7)), np.zeros((4, 7))
+    rest = MIDDLE, np.zeros(7), np.zeros(7)
+    for factor, accepted in ((0.97, True), (1.06, False)):
+        earlier = np.tile(MIDDLE, (3, 1))
+        earlier[0, 3] += factor * room
+        if accepted:
+            checker.check(*still, previous=rest, earlier=earlier)
+        else:
+            with pytest.raises(LimitViolationError, match=f"{of} over an end"):
+                checker.check(*still, previous=rest, earlier=earlier)

@@ -15,6 +15,7 @@ from skewmi.deploy.endpoint.validation import (
     ValidationRules,
     check_fresh,
     check_rest,
+    check_size,
     check_splice,
     check_structure,
     check_time,
@@ -247,3 +248,12 @@ def test_only_the_last_sample_must_be_at_rest(field: str) -> None:
 def test_rules_cannot_be_changed() -> None:
     with pytest.raises(FrozenInstanceError):
         RULES.max_points = 10**9  # type: ignore[misc]
+
+
+def test_commands_have_at_most_131072_bytes() -> None:
+    for size in (0, 1, 100_000, 131_071, 131_072):
+        check_size(bytes(size))
+    for size in (131_073, 131_200, 1_000_000):
+        with pytest.raises(CommandRefusedError) as caught:
+            check_size(bytes(size))
+        assert str(caught.value) == f"the command has {size} bytes; at most 131072 are read"
