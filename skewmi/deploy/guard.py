@@ -4,9 +4,10 @@ Checked are the hand's position and tilt, torque (inverse dynamics) and mobility
 and the distances of the arm to the robot itself and to the table at all of them.
 
 Distances are dear (hundreds of pairs of shapes), so they are computed only when they may matter. A
-joint that turns by d moves no point of the arm by more than r d, r being the largest distance of
-a downstream point from its axis. If all distances at some earlier configuration q0 exceed the
-clearance by more than sum_i r_i |q_i - q0_i|, they exceed it at q too: nothing need be computed.
+joint i that turns by d moves no point of link p by more than r_ip d, r_ip being the largest
+distance of a point of that link from its axis; and only the joints between two links change the
+distance of the two. If a distance at some earlier configuration q0 exceeds the clearance by more
+than sum_i r_ip |q_i - q0_i| over those joints, it exceeds it at q too: nothing need be computed.
 Otherwise the pairs for which this fails are measured at the sample itself.
 """
 
@@ -118,9 +119,7 @@ class Guard:
         self._add_table()
         self._add_pairs(torso)
         self._shape_data = pinocchio.GeometryData(self._shapes)
-        self._reach = self._reaches()
-        self._measured_at = np.zeros(7)
-        self._measured = self._measure(self._measured_at)
+        self._measure_at(np.zeros(7))
         self._weights = np.array([1.0, 1.0, 1.0, LEVER, LEVER, LEVER])[:, None]
 
     def check(self, q: Array, v: Array, a: Array, new_samples: int = 5) -> GuardReport:
@@ -203,19 +202,18 @@ class Guard:
 
     def _check_clearance(self, q: Array) -> float:
         """Lower bound of the smallest distance over all samples."""
-        moved = np.abs(q - self._measured_at) @ self._reach
-        safe = float(self._measured.min()) - self._clearance
-        if moved.max() >= safe:
-            self._measured_at, self._measured = q[0].copy(), self._measure(q[0])
-            moved = np.abs(q - self._measured_at) @ self._reach
-        bound = float(self._measured.min() - moved.max())
-        if bound > self._clearance:
-            return bound
+        bound = self._bounds(q)
+        if bound.min() <= self._clearance:
+            self._measure_at(q[0])
+            bound = self._bounds(q)
+        if bound.min() > self._clearance:
+            return float(bound.min())
         clearance = np.inf
-        for sample, m in zip(q, moved, strict=True):
-            near = np.flatnonzero(self._measured - m <= self._clearance)
-            far = float(np.delete(self._measured, near).min(initial=np.inf)) - float(m)
+        for sample, bounds in zip(q, bound, strict=True):
+            close = bounds <= self._clearance
+            near = np.flatnonzero(close[self._group])
             distances = self._measure(sample, near)
+            far = float(bounds[~close].min(initial=np.inf))
             clearance = min(clearance, far, float(distances.min(initial=np.inf)))
             if clearance < self._clearance:
                 pair = self._shapes.collisionPairs[int(near[int(np.argmin(distances))])]
@@ -226,6 +224,17 @@ class Guard:
                     "clearance, m", clearance, self._clearance, f"{first} to {second}"
                 )
         return clearance
+
+    def _bounds(self, q: Array) -> Array:
+        """What the distances of each group of pairs are at least, m. Shapes (n, 7), (n, groups)."""
+        bounds: Array = self._nearest - np.abs(q - self._measured_at) @ self._reach.T
+        return bounds
+
+    def _measure_at(self, q: Array) -> None:
+        """Measure every pair at a configuration, to know what others can come to at worst."""
+        self._measured_at = q.copy()
+        self._nearest = np.full(len(self._reach), np.inf)
+        np.minimum.at(self._nearest, self._group, self._measure(q))
 
     def _measure(self, q: Array, pairs: NDArray[np.intp] | None = None) -> Array:
         """Distances of the given pairs (all by default) at a configuration, m."""
@@ -242,18 +251,19 @@ class Guard:
         return np.array([results[int(index)].min_distance for index in pairs])
 
     def _reaches(self) -> Array:
-        """r: the farthest that a point of the arm can be from each joint's axis, m. Shape (7,)."""
-        reach = np.zeros(7)
+        """r: how far a point of each link can be from each joint's axis, m; 0 for joints behind.
+
+        Shape (8, 7): links 0 (fixed) to 7, joints 1 to 7.
+        """
+        reach = np.zeros((8, 7))
         for shape in self._shapes.geometryObjects:
-            joint = int(shape.parentJoint)
-            if joint == 0:
-                continue
+            link = int(shape.parentJoint)
             shape.geometry.computeLocalAABB()
             length = shape.geometry.aabb_radius + float(
                 np.linalg.norm(shape.placement.act(shape.geometry.aabb_center))
             )
-            for i in range(joint, 0, -1):
-                reach[i - 1] = max(reach[i - 1], length)
+            for i in range(link, 0, -1):
+                reach[link, i - 1] = max(reach[link, i - 1], length)
                 length += float(np.linalg.norm(self._model.jointPlacements[i].translation))
         return reach
 
@@ -272,7 +282,9 @@ class Guard:
         Left out is what touches by construction: links one and two joints apart, and the first
         link, which turns in the torso.
         """
-        shapes = list(self._shapes.geometryObjects)
+        shapes, reaches = list(self._shapes.geometryObjects), self._reaches()
+        groups: dict[tuple[int, int], int] = {}
+        group: list[int] = []
         for i, first in enumerate(shapes):
             for j, second in enumerate(shapes[:i]):
                 fixed, moved = sorted((first, second), key=lambda shape: int(shape.parentJoint))
@@ -280,3 +292,8 @@ class Guard:
                 built_together = far - near < 3 if near else far == 1 and fixed.name in torso
                 if far and not built_together:
                     self._shapes.addCollisionPair(pinocchio.CollisionPair(j, i))
+                    group.append(groups.setdefault((near, far), len(groups)))
+        # Pairs of the same two links have the same bounds.
+        self._group = np.array(group)
+        between = [np.arange(1, 8) > near for near, _ in groups]
+        self._reach = np.array([reaches[far] for _, far in groups]) * between

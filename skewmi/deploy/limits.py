@@ -235,13 +235,12 @@ class ChunkChecker:
 
     def _check_across(self, q: Array, earlier: Array | None) -> None:
         """Second and third differences of positions that reach over an end of the chunk."""
-        last = q[-1]
-        ends = [(*q[-3:], last, last, last)]
+        h, last = self.grid_dt, q[-1:]
+        ends = [np.concatenate((q[-3:], last, last, last))]
         if earlier is not None:
             if not np.isfinite(earlier).all():
                 raise LimitViolationError("finite numbers", float("nan"), 0.0, "earlier motion")
-            ends.append((*earlier, *q[:3]))
-        h = self.grid_dt
+            ends.append(np.concatenate((earlier, q[:3])))
         second = np.diff(ends, n=2, axis=1)
         third = np.diff(second, axis=1)
         # 1e-12 of absolute room for each of the four and eight positions that a difference is of.
