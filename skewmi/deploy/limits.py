@@ -55,6 +55,8 @@ ROUNDING = 1e-6
 REST = 1e-9
 """Velocity (rad/s) and acceleration (rad/s^2) below which an arm is at rest."""
 
+_REST = np.full(7, REST)
+
 SPLICE_TOLERANCE = (1e-9, 1e-7, 1e-5)
 """Largest difference of q, v, a (rad, rad/s, rad/s^2) between a chunk's first sample and the
 motion that it continues."""
@@ -122,6 +124,10 @@ class ChunkChecker:
         self.joint_names = tuple(joint_names)
         self.grid_dt = grid_dt
         self._grid_ns = round(grid_dt * 1e9)
+        # Between two samples a position can exceed both by A h^2 / 8 at most.
+        self._bulge = limits.acceleration * grid_dt * grid_dt / 8.0
+        self._middle = (limits.position_upper + limits.position_lower) / 2.0
+        self._half = (limits.position_upper - limits.position_lower) / 2.0
         self._tcp_speed = tcp_speed
         self._forward = forward
         self._box: tuple[Array, Array] | None = None
@@ -220,9 +226,9 @@ class ChunkChecker:
         from_rest: bool,
     ) -> None:
         for name, array in (("velocity", v), ("acceleration", a)):
-            _require(f"{name} at the end", np.abs(array[-1]), np.full(7, REST), 0.0)
+            _require(f"{name} at the end", np.abs(array[-1]), _REST, 0.0)
             if from_rest:
-                _require(f"{name} at the first start", np.abs(array[0]), np.full(7, REST), 0.0)
+                _require(f"{name} at the first start", np.abs(array[0]), _REST, 0.0)
         if previous is None:
             return
         names = ("position", "velocity", "acceleration")
@@ -251,11 +257,8 @@ class ChunkChecker:
 
     def _check_joints(self, q: Array, v: Array, a: Array) -> LimitUsage:
         limits, h = self.limits, self.grid_dt
-        # Between two samples a position can exceed both by A h^2 / 8 at most.
-        bulge = limits.acceleration * h * h / 8.0
-        middle = (limits.position_upper + limits.position_lower) / 2.0
-        half = (limits.position_upper - limits.position_lower) / 2.0
-        excursion = np.abs(q - middle).max(axis=0) + bulge
+        middle, half = self._middle, self._half
+        excursion = np.abs(q - middle).max(axis=0) + self._bulge
         worst = np.argmax(excursion - half)
         if excursion[worst] > half[worst]:
             k = np.argmax(np.abs(q[:, worst] - middle[worst]))
@@ -324,8 +327,7 @@ def _peak(samples: Array) -> Array:
 
 def _require(limit: str, value: Array, bound: Array, rounding: float = ROUNDING) -> None:
     """Raise for the joint with the largest excess, if any."""
-    excess = value - bound * (1.0 + rounding)
-    if (excess > 0.0).any():
+    if (value > bound * (1.0 + rounding)).any():
         worst = np.argmax(value / bound)
         joint = f"joint index {worst}"
         raise LimitViolationError(limit, float(value[worst]), float(bound[worst]), joint)

@@ -267,9 +267,9 @@ def test_an_arm_that_is_held_off_its_command_is_not_pulled_at(
 def test_a_measurement_that_is_no_number_is_a_fault(
     robot: EndpointController, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    measured = robot.measure()
-    measured.position[2] = np.nan
-    monkeypatch.setattr(robot._backend, "measure", lambda: measured)
+    measured = robot._backend.arm_position()
+    measured[2] = np.nan
+    monkeypatch.setattr(robot._backend, "arm_position", lambda: measured)
     before = robot.commanded_position()
     run(robot, 1)
     assert robot.state is EndpointState.FAULT

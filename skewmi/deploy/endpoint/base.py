@@ -67,6 +67,9 @@ class RobotBackend(Protocol):
     def contact(self) -> Mapping[str, float]:
         """Largest of `skewmi.contact.QUANTITIES` since the scene's last reset; empty if unknown."""
 
+    def arm_position(self) -> Array:
+        """Measured arm joints alone, rad, chain order. Shape (7,)."""
+
     def measure(self) -> Measurement:
         """Present state; the arrays are not written to afterwards."""
 

@@ -97,7 +97,7 @@ class EndpointController:
         self.lease = CommanderLease(lease_ns)
         self.tick_index = first_tick
         """The tick that is due next."""
-        self.plan = PlanExecutor(self.measure().position[: len(backend.joint_names)], first_tick)
+        self.plan = PlanExecutor(backend.arm_position(), first_tick)
         self.newest_tick = -1
         """First tick of the newest accepted chunk."""
         self.accepted = 0
@@ -199,7 +199,7 @@ class EndpointController:
                 self.lease.close()
 
     def _check_tracking(self, commanded: Array) -> None:
-        measured = self._arm()
+        measured = self._backend.arm_position()
         error = float(np.abs(measured - commanded).max())
         if error <= self._tracking_limit:
             return
@@ -210,10 +210,6 @@ class EndpointController:
             f"a joint is {error:.3g} rad from its command; "
             f"at most {self._tracking_limit:g} rad are allowed"
         )
-
-    def _arm(self) -> Array:
-        """Measured arm joints, rad. Shape (7,)."""
-        return self._backend.measure().position[: len(self._backend.joint_names)]
 
     def check_lease(self, now_ns: int) -> None:
         """Take the arm from a commander that has been silent for too long."""
@@ -269,7 +265,7 @@ class EndpointController:
                     "again to acknowledge it"
                 )
             # The arm may be far from its command: hold it where it is, do not jerk it back.
-            self.plan.rest_at(self._arm(), self.tick_index)
+            self.plan.rest_at(self._backend.arm_position(), self.tick_index)
         self._drop_what_has_not_begun()
         self._fire(EndpointEvent.STOP, f"stop asked for by {printable(who)}")
         self._settle()

@@ -79,8 +79,10 @@ class PlanExecutor:
         """
         assert tick >= now
         first = now - REMEMBERED
-        kept = np.arange(first, tick) - self._first_tick
-        kept = np.clip(kept, 0, len(self._q) - 1)
+        begin, end = first - self._first_tick, tick - self._first_tick
+        kept: slice | Array = slice(begin, end)
+        if begin < 0 or end > len(self._q):
+            kept = np.clip(np.arange(begin, end), 0, len(self._q) - 1)
         self._q = np.concatenate([self._q[kept], q])
         self._v = np.concatenate([self._v[kept], v])
         self._a = np.concatenate([self._a[kept], a])

@@ -110,21 +110,25 @@ class SimTwin:
             self._hold()
             mujoco.mj_forward(self.scene.model, self._data)
 
+    def arm_position(self) -> Array:
+        """Measured arm joints, rad, with the sensor errors of the tick. Shape (7,)."""
+        arm: Array = self._data.qpos[self.scene.arm_qpos]
+        return arm if self._errors is None else arm + self._errors[0][0]
+
     def measure(self) -> Measurement:
         """Present positions, velocities and servo forces.
 
         Positions of arm and scene have the twin's sensor errors, one draw a tick.
         """
         data, scene = self._data, self.scene
-        arm, lid_and_button = data.qpos[scene.arm_qpos], data.qpos[self._scene_qpos]
+        lid_and_button = data.qpos[self._scene_qpos]
         if self._errors is not None:
-            on_arm, on_lid, on_button = self._errors
-            arm = arm + on_arm[0]
+            _, on_lid, on_button = self._errors
             lid_and_button = lid_and_button + np.array([on_lid[0], on_button[0]])
         fingers = scene.finger_qpos
         return Measurement(
             names=self._names,
-            position=np.append(arm, data.qpos[fingers].mean()),
+            position=np.append(self.arm_position(), data.qpos[fingers].mean()),
             velocity=np.append(data.qvel[scene.arm_dof], data.qvel[self._finger_dof].mean()),
             effort=np.append(
                 data.actuator_force[scene.arm_ctrl], data.actuator_force[scene.finger_ctrl]
