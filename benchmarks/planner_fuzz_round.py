@@ -40,6 +40,7 @@ class _Episode:
         self.judge = Judge(bounds, self.workspace, arm, executed=[start[None]])
         self._checker = ChunkChecker(bounds, self.workspace, kinematics.forward)
         self.usage = LimitUsage()
+        self._tail = np.tile(start, (4, 1))
         self._chunk = self.planner.step(0)
         self.cycles = self.refused = 0
         self.kinds: Counter[str] = Counter()
@@ -56,10 +57,12 @@ class _Episode:
         state = chunk.state(splice)
         rows = np.minimum(np.arange(1, splice + 1), len(chunk.q) - 1)
         self.judge.executed.append(chunk.q[rows])
+        self._tail = np.concatenate((self._tail, chunk.q[rows]))[-4:]
         self._chunk = chunk = self.planner.step(None if splice == 5 else splice)
         parts = chunk.q, chunk.v, chunk.a
         self.judge.add(parts, state)
-        self.usage = self.usage.merged(self._checker.check(*parts, state))
+        usage = self._checker.check(*parts, state, earlier=self._tail[:3])
+        self.usage = self.usage.merged(usage)
         if chunk.continued:
             self.continued[chunk.continued] += 1
         self.cycles += 1
