@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -156,6 +157,46 @@ def test_a_run_that_lost_the_arm_does_not_stop_whoever_took_it() -> None:
         report = run_deploy(FewSteps(5, hang), DeployOptions(connect=robot))
         assert report.episodes[0].outcome in ("stopped", "fault")
         assert describe(robot).state == "holding"
+
+
+@pytest.mark.parametrize("lock_step", [True, False])
+def test_an_endpoint_that_is_ended_in_a_fault_follows_the_plan_to_rest_first(
+    lock_step: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ended, crashes, targets = threading.Event(), [], []
+    ready, fail = threading.Event(), threading.Event()
+
+    class Failing(SimTwin):
+        def step(self, target) -> None:
+            super().step(target)
+            targets.append(target.q.copy())
+            if fail.is_set() and np.abs(target.v).max() > 0.05:
+                fail.clear()
+                targets.clear()
+                ended.set()
+                raise BackendFaultError("drive 3 over temperature")
+
+    monkeypatch.setattr(endpoint_run, "SimTwin", Failing)
+    locator = f"tcp/127.0.0.1:{free_port()}"
+    config = TransportConfig.for_endpoint(locator, lock_step=lock_step)
+    options = SimEndpointOptions(joint_limits.profile("lab"), lock_step=lock_step)
+
+    def serve() -> None:
+        try:
+            run_sim_endpoint(config, options, ended, lambda _: ready.set())
+        except Exception as error:
+            crashes.append(error)
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    assert ready.wait(20.0)
+    run_deploy(FewSteps(3, fail.set), DeployOptions(connect=locator, lock_step=lock_step))
+    thread.join(20.0)
+    assert not thread.is_alive()
+    assert crashes == []
+    assert len(targets) > 5, "the arm was moving when the endpoint was ended"
+    # Its last sample, at rest, is due when the loop ends.
+    np.testing.assert_allclose(targets[-1], targets[-2], atol=1e-4)
 
 
 @pytest.mark.parametrize("lock_step", [True, False])

@@ -13,6 +13,7 @@ import json
 import logging
 import threading
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 
 from skewmi.deploy.daemon.realtime import hot_loop
@@ -119,7 +120,9 @@ class EndpointServer:
     def _ended(self, stop: threading.Event) -> bool:
         """Whether to leave the loop: stopping was asked for, and the arm has come to rest."""
         if stop.is_set():
-            self._controller.stop("the end of the endpoint")
+            # In fault it is refused until the arm rests; this loop goes on until then.
+            with suppress(CommandRefusedError):
+                self._controller.stop("the end of the endpoint")
         return stop.is_set() and self._controller.plan.at_rest(self._controller.tick_index)
 
     def _run_real_time(self, stop: threading.Event) -> None:
