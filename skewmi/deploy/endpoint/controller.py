@@ -346,8 +346,7 @@ class EndpointController:
         Raises:
             CommandRefusedError: Not armed, another commander, or not an opening.
         """
-        if self.state not in ACCEPTS_COMMANDS:
-            raise CommandRefusedError(f"the endpoint is {self.state.value}; arm it first")
+        self._check_state()
         self.lease.check_gripper(gid, sequence)
         self._backend.open_gripper(opening)
         self.lease.renew_gripper(gid, sequence)
