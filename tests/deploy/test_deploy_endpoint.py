@@ -8,8 +8,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from skewmi.deploy.endpoint.base import GRID_NS, BackendFaultError
-from skewmi.deploy.endpoint.controller import LEASE_NS, EndpointController, Refusal
+from skewmi.deploy.endpoint.controller import LEASE_NS, EndpointController
 from skewmi.deploy.endpoint.executor import PlanExecutor, PlanPoint
+from skewmi.deploy.endpoint.refusals import Refusal
 from skewmi.deploy.endpoint.run import limit_check
 from skewmi.deploy.endpoint.sim_twin import SimTwin
 from skewmi.deploy.endpoint.states import EndpointState

@@ -7,7 +7,6 @@ plain values; `server` connects it. Everything is called from one thread, the se
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from skewmi.deploy.endpoint.base import (
 )
 from skewmi.deploy.endpoint.executor import PlanExecutor
 from skewmi.deploy.endpoint.lease import CommanderLease
+from skewmi.deploy.endpoint.refusals import NOTED_REFUSALS, Refusal, printable
 from skewmi.deploy.endpoint.states import (
     ACCEPTS_COMMANDS,
     ENDPOINT_TABLE,
@@ -41,31 +41,6 @@ LEASE_NS = 2_000_000_000
 
 TRACKING_LIMIT = 0.35
 """Largest |measured - commanded| of a joint, rad, before the endpoint calls it a fault."""
-
-
-_NOTED_REFUSALS = 32
-"""Reasons of others than the commander that are kept for the next status; all are counted."""
-
-_LONGEST_REASON = 300
-"""Characters; reasons hold what strangers have sent."""
-
-
-def printable(text: str) -> str:
-    """A line of text from anywhere, fit to be told and kept: no control characters, not long."""
-    line = "".join(c for c in text[:_LONGEST_REASON] if c.isprintable())
-    return line + (" ..." if len(text) > _LONGEST_REASON else "")
-
-
-class Refusal(NamedTuple):
-    """A command that was not followed."""
-
-    reason: str
-    out_of_step: bool = False
-    """Whether it came too late or after a lost one, and was otherwise fine."""
-    stamp_ns: int | None = None
-    """Of the refused chunk, if it was one."""
-    of_commander: bool = False
-    """Whether the one who holds the arm sent it."""
 
 
 class EndpointController:
@@ -157,7 +132,7 @@ class EndpointController:
         """Count a refused command, for the status."""
         self.refused += 1
         self.refused_of_commander += refusal.of_commander
-        if refusal.of_commander or len(self.refusals) < _NOTED_REFUSALS:
+        if refusal.of_commander or len(self.refusals) < NOTED_REFUSALS:
             self.refusals.append(refusal._replace(reason=printable(refusal.reason)))
 
     def take_refusals(self) -> list[Refusal]:

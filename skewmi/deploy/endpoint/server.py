@@ -23,7 +23,8 @@ from skewmi.deploy.endpoint.base import (
     STATE_PERIOD_TICKS,
     RobotBackend,
 )
-from skewmi.deploy.endpoint.controller import EndpointController, Refusal
+from skewmi.deploy.endpoint.controller import EndpointController
+from skewmi.deploy.endpoint.refusals import Refusal
 from skewmi.deploy.endpoint.states import ACCEPTS_COMMANDS, EndpointState
 from skewmi.deploy.endpoint.validation import check_size
 from skewmi.deploy.state_machine import Transition
