@@ -23,7 +23,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from skewmi.cli.interrupt import ENDING_SIGNALS
+from skewmi.cli.interrupt import signals_to_handle
 from skewmi.cli.policies import twin_option
 from skewmi.contact import QUANTITIES
 from skewmi.deploy import run as deploy_run
@@ -183,11 +183,7 @@ def _contact_words(name: str, figures: Mapping[str, float]) -> str:
 def _stop_on_interrupt() -> Iterator[threading.Event]:
     """An event that the first Ctrl-C, SIGTERM or SIGHUP sets; a second one ends the process."""
     stop = threading.Event()
-    before = {
-        number: handler
-        for number in ENDING_SIGNALS
-        if (handler := signal.getsignal(number)) is not signal.SIG_IGN
-    }
+    before = {number: signal.getsignal(number) for number in signals_to_handle()}
 
     def restore() -> None:
         for number, handler in before.items():

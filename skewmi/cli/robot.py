@@ -22,7 +22,7 @@ from typing import Literal
 
 from rich.console import Console
 
-from skewmi.cli.interrupt import ENDING_SIGNALS
+from skewmi.cli.interrupt import signals_to_handle
 from skewmi.deploy.description import EndpointDescription
 from skewmi.deploy.endpoint.run import SimEndpointOptions, run_sim_endpoint
 from skewmi.deploy.wire.transport import TransportConfig
@@ -60,10 +60,8 @@ def run_robot(options: RobotCommand) -> int:
         options.listen, lock_step=options.lock_step, zenoh_config=options.zenoh_config
     )
     stop = threading.Event()
-    for number in ENDING_SIGNALS:
-        # Unless it is ignored already, as under nohup.
-        if signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, lambda *_: stop.set())
+    for number in signals_to_handle():
+        signal.signal(number, lambda *_: stop.set())
     if options.end_with_input:
         threading.Thread(target=_wait_for_end_of_input, args=(stop,), daemon=True).start()
     console = Console(stderr=True)

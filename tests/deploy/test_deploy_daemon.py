@@ -217,7 +217,14 @@ def test_endpoint_tells_each_change_of_state_and_what_it_was_granted(tiny: Path)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_interrupted_command_exits_130(tiny: Path, number: signal.Signals) -> None:
     command = [sys.executable, "-m", "skewmi.cli.main", "deploy", str(tiny), "--json"]
-    child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    child = subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        # The tests themselves may run under nohup.
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),
+    )
     time.sleep(6.0)
     child.send_signal(number)
     out, err = child.communicate(timeout=20.0)
