@@ -50,7 +50,7 @@ class Target:
 
     path: str
     tests: tuple[str, ...]
-    """The files of `tests/deploy` that must notice a change of it, the quickest first."""
+    """The files of `tests/deploy/safety` that must notice a change of it, the quickest first."""
 
     @property
     def module(self) -> str:
@@ -59,19 +59,19 @@ class Target:
 
 TARGETS = (
     Target(
-        "skewmi/deploy/limits.py",
+        "skewmi/deploy/safety/limits.py",
         (
-            "test_deploy_limits_bounds.py",
-            "test_deploy_limits_ends.py",
-            "test_deploy_limits_hand.py",
-            "test_deploy_limits.py",
+            "test_limits_bounds.py",
+            "test_limits_ends.py",
+            "test_limits_hand.py",
+            "test_limits.py",
         ),
     ),
     Target(
-        "skewmi/deploy/endpoint/validation.py",
-        ("test_deploy_validation_rules.py", "test_deploy_validation.py"),
+        "skewmi/deploy/safety/validation.py",
+        ("test_validation_rules.py", "test_validation.py"),
     ),
-    Target("skewmi/deploy/endpoint/lease.py", ("test_deploy_lease.py",)),
+    Target("skewmi/deploy/safety/lease.py", ("test_lease.py",)),
 )
 
 EXPLANATIONS = common.REPOSITORY / "docs" / "mutation.md"
@@ -160,7 +160,7 @@ def make_copy(folder: Path) -> Path:
     shutil.copy(common.REPOSITORY / "pyproject.toml", folder)
     (folder / "tests" / "support").mkdir(parents=True)
     for name in {name for target in TARGETS for name in target.tests}:
-        shutil.copy(common.REPOSITORY / "tests" / "deploy" / name, folder / "tests")
+        shutil.copy(common.REPOSITORY / "tests" / "deploy" / "safety" / name, folder / "tests")
     return folder
 
 

@@ -30,10 +30,10 @@ from planner_judge import UrdfArm
 from planner_scenes import press_workspace
 from planner_timing import Pace, Seconds, StageTimes, percentiles
 
-from skewmi.deploy.daemon.realtime import hot_loop
-from skewmi.deploy.guard import Guard
-from skewmi.deploy.limits import ChunkChecker
 from skewmi.deploy.motion.planner import PlannedChunk, Planner
+from skewmi.deploy.realtime import hot_loop
+from skewmi.deploy.safety.guard import Guard
+from skewmi.deploy.safety.limits import ChunkChecker
 from skewmi.deploy.wire.messages import TrajectoryChunk, encode_chunk
 from skewmi.robot_models import limits, yumi
 from skewmi.robot_models.kinematics import ArmKinematics

@@ -17,8 +17,6 @@ import ruckig
 from numpy.typing import NDArray
 from planner_timing import StageTimes
 
-from skewmi.deploy.guard import FEW_SAMPLES, LEVER
-from skewmi.deploy.limits import ChunkChecker
 from skewmi.deploy.motion.differential_ik import (
     FEEDBACK_RATE,
     ORIENTATION_COST,
@@ -28,6 +26,8 @@ from skewmi.deploy.motion.differential_ik import (
 )
 from skewmi.deploy.motion.joint_shaper import JointShaper
 from skewmi.deploy.motion.planner import PlannedChunk
+from skewmi.deploy.safety.guard import FEW_SAMPLES, LEVER
+from skewmi.deploy.safety.limits import ChunkChecker
 from skewmi.policy_io import Workspace
 from skewmi.robot_models import mjcf, urdf, yumi
 from skewmi.robot_models.frames import rotation_from_quaternion

@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from planner_timing import Pace, StageTimes, percentiles
 
-from skewmi.deploy.daemon.realtime import hot_loop
-from skewmi.deploy.endpoint.base import GRID_NS, STATE_PERIOD_TICKS
-from skewmi.deploy.endpoint.controller import EndpointController
-from skewmi.deploy.endpoint.run import limit_check
-from skewmi.deploy.endpoint.sim_twin import SimTwin
-from skewmi.deploy.endpoint.validation import ChunkValidator, ValidationRules
 from skewmi.deploy.motion.planner import Planner
+from skewmi.deploy.realtime import hot_loop
+from skewmi.deploy.robot.backend import GRID_NS, STATE_PERIOD_TICKS
+from skewmi.deploy.robot.backends.mujoco.backend import SimTwin
+from skewmi.deploy.robot.controller import EndpointController
+from skewmi.deploy.robot.run import limit_check
+from skewmi.deploy.safety.validation import ChunkValidator, ValidationRules
 from skewmi.deploy.wire.messages import (
     JointStates,
     TrajectoryChunk,

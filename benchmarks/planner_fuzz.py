@@ -39,11 +39,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import common
 from planner_fuzz_round import run_round
 
-from skewmi.deploy.limits import LimitUsage
+from skewmi.deploy.safety.limits import LimitUsage
 
 SOURCES = (
     "skewmi/deploy/motion/*.py",
-    "skewmi/deploy/limits.py",
+    "skewmi/deploy/safety/limits.py",
     "skewmi/robot_models/*.py",
     "benchmarks/planner_[fjs]*.py",
 )

@@ -15,8 +15,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 from planner_judge import Breach, Judge, UrdfArm
 from planner_scenes import ADVERSARIES, Command, commands, draw_scene, not_numbers
 
-from skewmi.deploy.limits import ChunkChecker, LimitUsage
 from skewmi.deploy.motion.planner import Planner
+from skewmi.deploy.safety.limits import ChunkChecker, LimitUsage
 from skewmi.errors import LimitViolationError, SkewmiError
 from skewmi.robot_models.kinematics import ArmKinematics
 

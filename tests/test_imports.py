@@ -36,7 +36,7 @@ FORBIDDEN: dict[str, tuple[str, ...]] = {
 }
 """Package -> what must not be loaded after importing all of it (`cli.main`: only itself)."""
 
-MAY_IMPORT_SIM = ("skewmi.deploy.endpoint",)
+MAY_IMPORT_SIM = ("skewmi.deploy.robot",)
 """The simulated robot runs the simulation; nothing else in deploy may."""
 
 IMPORT_ALL = """
@@ -69,7 +69,7 @@ def test_package_imports_only_what_the_architecture_allows(package: str) -> None
 
 
 def test_simulated_endpoint_runs_without_torch() -> None:
-    loaded = loaded_modules("skewmi.deploy.endpoint", ())
+    loaded = loaded_modules("skewmi.deploy.robot", ())
     assert sorted(loaded & {"torch", "skewmi.train", "skewmi.export"}) == []
 
 

@@ -14,9 +14,9 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from skewmi.deploy.daemon.daemon import STATUS_NAME
-from skewmi.deploy.daemon.states import DaemonState
 from skewmi.deploy.recording.reader import LAYOUT, Recording, read_recording
+from skewmi.deploy.session.session import STATUS_NAME
+from skewmi.deploy.session.states import DaemonState
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.messages import JointStates, decode_joint_states, decode_status
 from skewmi.errors import ConfigurationError, NotFoundError

@@ -23,8 +23,8 @@ from typing import Literal
 from rich.console import Console
 
 from skewmi.cli.interrupt import signals_to_handle
-from skewmi.deploy.description import EndpointDescription
-from skewmi.deploy.endpoint.run import SimEndpointOptions, run_sim_endpoint
+from skewmi.deploy.robot.description import EndpointDescription
+from skewmi.deploy.robot.run import SimEndpointOptions, run_sim_endpoint
 from skewmi.deploy.wire.transport import TransportConfig
 from skewmi.robot_models import limits as joint_limits
 

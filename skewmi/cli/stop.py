@@ -11,7 +11,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from skewmi.deploy.description import EndpointDescription
+from skewmi.deploy.robot.description import EndpointDescription
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.transport import Link, TransportConfig
 

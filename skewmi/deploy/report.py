@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from skewmi.contact import QUANTITIES
-from skewmi.deploy.limits import LimitUsage
+from skewmi.deploy.safety.limits import LimitUsage
 
 
 @dataclass(frozen=True)

@@ -8,15 +8,15 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import replace
 
-from skewmi.deploy.daemon.daemon import Daemon
-from skewmi.deploy.daemon.endpoint_process import sim_endpoint_process
-from skewmi.deploy.daemon.preflight import planning_limits
-from skewmi.deploy.description import SCENE_REQUEST, EndpointDescription, limit_values
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.recording.reader import run_metadata
 from skewmi.deploy.recording.recorder import Recorder
 from skewmi.deploy.replay.live import LiveView
 from skewmi.deploy.report import DeployReport
+from skewmi.deploy.robot.description import SCENE_REQUEST, EndpointDescription, limit_values
+from skewmi.deploy.robot.process import sim_endpoint_process
+from skewmi.deploy.session.preflight import planning_limits
+from skewmi.deploy.session.session import Daemon
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.transport import Link, TransportConfig
 from skewmi.errors import LayoutMismatchError, TransportError

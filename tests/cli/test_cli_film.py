@@ -10,9 +10,9 @@ import pytest
 from PIL import Image
 
 from skewmi.cli.main import main
-from skewmi.deploy.daemon.daemon import STATUS_NAME
 from skewmi.deploy.recording.reader import METADATA_NAME, run_metadata
 from skewmi.deploy.recording.writer import RecordingWriter
+from skewmi.deploy.session.session import STATUS_NAME
 from skewmi.deploy.wire import messages, topics
 from skewmi.deploy.wire.messages import JointStates, Status
 from skewmi.robot_models import yumi

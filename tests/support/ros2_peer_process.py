@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from secured_link import robot_process
 
-from skewmi.deploy.daemon.endpoint_process import free_port
+from skewmi.deploy.robot.process import free_port
 
 TRAJECTORY, STATE = "trajectory_msgs/msg/JointTrajectory", "sensor_msgs/msg/JointState"
 DIAGNOSTICS, TRIGGER = "diagnostic_msgs/msg/DiagnosticArray", "std_srvs/srv/Trigger"

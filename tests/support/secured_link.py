@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from skewmi.deploy.daemon.endpoint_process import free_port
+from skewmi.deploy.robot.process import free_port
 from skewmi.deploy.wire.access import CONFIG_FILE, Role
 from skewmi.deploy.wire.certificates import (
     Authority,

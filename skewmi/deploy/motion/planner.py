@@ -26,12 +26,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skewmi.deploy import limits as chunk_limits
 from skewmi.deploy.motion.brake import Array
 from skewmi.deploy.motion.cartesian_shaper import CartesianShaper, Reference
 from skewmi.deploy.motion.differential_ik import FEEDBACK_RATE, DifferentialIk
 from skewmi.deploy.motion.hand_bounds import derive_hand_bounds
 from skewmi.deploy.motion.joint_shaper import JointShaper
+from skewmi.deploy.safety import limits as chunk_limits
 from skewmi.errors import ConfigurationError, KinematicsError, LimitViolationError
 from skewmi.policy_io import Workspace
 from skewmi.robot_models.frames import rotation_from_quaternion, rotation_vector

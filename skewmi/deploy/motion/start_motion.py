@@ -16,10 +16,10 @@ from collections.abc import Iterator
 import numpy as np
 import ruckig
 
-from skewmi.deploy import limits as chunk_limits
 from skewmi.deploy.motion.brake import Array, plan_stop
 from skewmi.deploy.motion.joint_shaper import HEADROOM
 from skewmi.deploy.motion.planner import PlannedChunk
+from skewmi.deploy.safety import limits as chunk_limits
 from skewmi.errors import ConfigurationError, LimitViolationError
 from skewmi.robot_models.kinematics import ArmKinematics
 from skewmi.robot_models.limits import JointLimits

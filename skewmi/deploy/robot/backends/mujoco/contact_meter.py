@@ -1,0 +1,69 @@
+"""What the simulated robot does to its surroundings: largest forces and errors of an episode."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+
+from skewmi.contact import STANDING_S
+from skewmi.deploy.robot.backend import GRID_NS
+from skewmi.policy_io import Array
+
+_WINDOW = round(STANDING_S * 1e9 / GRID_NS)
+
+
+class ContactMeter:
+    """Largest values over the ticks since `clear`.
+
+    Args:
+        low, high: Of the box that the hand's commands are clipped to, world, m. Shape (3,).
+        rotation: Hand to world, in which the hand is to be held. Shape (3, 3).
+    """
+
+    def __init__(self, low: Array, high: Array, rotation: Array) -> None:
+        self._low, self._high, self._rotation = low, high, rotation.ravel()
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget everything: an episode begins, without contact."""
+        self._ticks = 0
+        self._window: deque[float] = deque([0.0] * _WINDOW, maxlen=_WINDOW)
+        self._sum = self._hand_peak = self._standing = self._arm_peak = self._outside = 0.0
+        self._least_trace = 3.0
+
+    def add(self, on_hand: Array, on_arm: Array, position_w: Array, rotation: Array) -> None:
+        """One tick.
+
+        Args:
+            on_hand: Net contact force on hand and wrist, N. Shape (3,).
+            on_arm: The same on the whole arm, hand included. Shape (3,).
+            position_w: Of the hand, world, m. Shape (3,).
+            rotation: Hand to world, row by row. Shape (9,).
+        """
+        self._ticks += 1
+        x, y, z = map(float, on_hand)
+        hand = math.sqrt(x * x + y * y + z * z)
+        self._sum += hand - self._window[0]
+        self._window.append(hand)
+        self._hand_peak = max(self._hand_peak, hand)
+        self._standing = max(self._standing, self._sum / _WINDOW)
+        u, v, w = map(float, on_arm)
+        self._arm_peak = max(self._arm_peak, math.dist((u, v, w), (x, y, z)))
+        beyond = np.maximum(np.maximum(self._low - position_w, position_w - self._high), 0.0)
+        self._outside = max(self._outside, math.sqrt(float(beyond @ beyond)))
+        self._least_trace = min(self._least_trace, float(self._rotation @ rotation))
+
+    def summary(self) -> dict[str, float]:
+        """By key of `skewmi.contact.QUANTITIES`; empty before the first tick."""
+        if not self._ticks:
+            return {}
+        cosine = min(max((self._least_trace - 1.0) / 2.0, -1.0), 1.0)
+        return {
+            "hand_force_peak_n": self._hand_peak,
+            "hand_force_standing_n": self._standing,
+            "arm_force_peak_n": self._arm_peak,
+            "hand_tilt_deg": math.degrees(math.acos(cosine)),
+            "outside_box_mm": 1e3 * self._outside,
+        }

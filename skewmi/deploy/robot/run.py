@@ -1,0 +1,128 @@
+"""Put a simulated robot endpoint together and run it until it is told to end."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from skewmi.deploy.robot.backend import GRID_NS, fresh_tick
+from skewmi.deploy.robot.backends.mujoco.backend import SimTwin
+from skewmi.deploy.robot.controller import LEASE_NS, EndpointController
+from skewmi.deploy.robot.description import EndpointDescription
+from skewmi.deploy.robot.executor import PlanPoint
+from skewmi.deploy.robot.server import EndpointServer, ServerOptions
+from skewmi.deploy.safety.limits import WORKSPACE_TOLERANCE, ChunkChecker, Forward
+from skewmi.deploy.safety.validation import ChunkValidator, LimitCheck, ValidationRules
+from skewmi.deploy.wire.transport import Link, TransportConfig
+from skewmi.policy_io import Array, Workspace
+from skewmi.robot_models.kinematics import ArmKinematics
+from skewmi.robot_models.limits import JointLimits
+
+NODE_NAME = "skewmi_robot"
+
+_ROUNDING = 1e-6
+"""m"""
+
+LOCK_STEP_LEASE_NS = 20_000_000_000
+"""In lock-step the arm waits for a commander however slow; only a dead one loses it."""
+
+
+def limit_check(limits: JointLimits, workspace: Workspace) -> LimitCheck:
+    """The limits that the endpoint enforces: joints and hand speed always, the box from inside.
+
+    A motion that starts outside the box (on the way to the start pose) is only checked for joint
+    limits and hand speed; once the arm is inside, it cannot leave. The room that the checker
+    leaves around the box counts as inside: else the way out would lead through it.
+
+    Args:
+        limits: Of the joints.
+        workspace: The task's box.
+    """
+    forward = _SharedForward(ArmKinematics("right").forward)
+    anywhere = ChunkChecker(limits, None, forward)
+    inside = ChunkChecker(limits, workspace, forward)
+    base = np.array(workspace.base_position)
+    room = WORKSPACE_TOLERANCE + _ROUNDING
+    low, high = np.array(workspace.low) - base - room, np.array(workspace.high) - base + room
+
+    def check(q: Array, v: Array, a: Array, present: PlanPoint, earlier: Array) -> object:
+        # The first sample is where the accepted plan is, or the checker refuses it: their
+        # distance, 1e-9 rad at most, is far less than the rounding that is allowed for.
+        start = forward.begin(q)[0][0]
+        checker = inside if bool(((low <= start) & (start <= high)).all()) else anywhere
+        return checker.check(q, v, a, previous=present, earlier=earlier)
+
+    return check
+
+
+class _SharedForward:
+    """Forward kinematics that are worked out once for all who judge a chunk."""
+
+    def __init__(self, forward: Forward) -> None:
+        self._forward = forward
+        self._chunk: Array | None = None
+
+    def begin(self, q: Array) -> tuple[Array, Array]:
+        """Work them out for a chunk. Until the next `begin` it must not be written to."""
+        self._poses, self._chunk = self._forward(q), q
+        return self._poses
+
+    def __call__(self, q: Array) -> tuple[Array, Array]:
+        return self._poses if q is self._chunk else self._forward(q)
+
+
+@dataclass(frozen=True)
+class SimEndpointOptions:
+    """What a simulated endpoint is started with."""
+
+    limits: JointLimits
+    task: str = "open_press_close"
+    lock_step: bool = False
+    twin: str | None = None
+    """How robot and scene differ from the nominal ones, see `SimTwin`."""
+    start_configuration: tuple[float, ...] | None = None
+    """Where the arm is at first, chain order, rad; the task's start if not given."""
+
+
+def run_sim_endpoint(
+    config: TransportConfig,
+    options: SimEndpointOptions,
+    stop: threading.Event,
+    on_ready: Callable[[EndpointDescription], None] | None = None,
+) -> None:
+    """Serve a simulated robot until `stop` is set.
+
+    Args:
+        config: Where to listen.
+        options: Task, limits, pace.
+        stop: Set by a signal handler or another thread.
+        on_ready: Called once everything is declared.
+
+    Raises:
+        NotFoundError: No such task or twin.
+        ConfigurationError: The twin is not valid.
+        TransportError: The port is in use.
+    """
+    start = options.start_configuration
+    # The port first: a taken one is reported before the scene is compiled.
+    with Link.open(config, NODE_NAME) as link:
+        configuration = None if start is None else np.array(start)
+        backend = SimTwin(options.task, configuration, options.twin)
+        assert backend.layout.workspace is not None
+        rules = ValidationRules(joint_names=backend.joint_names, grid_ns=GRID_NS)
+        check = limit_check(options.limits, backend.layout.workspace)
+        controller = EndpointController(
+            backend,
+            ChunkValidator(rules, check),
+            lease_ns=LOCK_STEP_LEASE_NS if options.lock_step else LEASE_NS,
+            first_tick=fresh_tick(),
+        )
+        server = EndpointServer(
+            backend, controller, link, ServerOptions(options.limits, options.lock_step)
+        )
+        if on_ready is not None:
+            on_ready(server.describe())
+        server.run(stop)

@@ -1,0 +1,1 @@
+"""What judges motion: limits, guard, validation and the lease. Knows no planner and no link."""

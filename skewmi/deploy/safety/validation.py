@@ -1,0 +1,215 @@
+"""What a chunk must satisfy before a robot follows it. The endpoint believes no sender.
+
+The checks go from cheap to dear; the first that fails refuses the whole chunk, the plan stays as
+it was, and the plan it has ends at rest. Every function here is pure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from skewmi.deploy.robot.executor import PlanExecutor, PlanPoint
+from skewmi.deploy.wire.messages import TrajectoryChunk
+from skewmi.errors import CommandRefusedError, LimitViolationError
+from skewmi.policy_io import Array
+
+
+class BrokenStreamError(CommandRefusedError):
+    """A chunk came too late, or one before it is missing: sender and endpoint are out of step.
+
+    The commander may take up again from where the arm comes to rest.
+    """
+
+
+MAX_COMMAND_AGE_NS = 2_000_000_000
+"""How far a gripper command's stamp may be from now: what a busy computer may need at worst."""
+
+MAX_CHUNK_BYTES = 128 * 1024
+"""Longest command that is decoded: 500 points of seven joints take 100 kB."""
+
+LimitCheck = Callable[[Array, Array, Array, PlanPoint, Array], object]
+"""(q, v, a, plan at the chunk's first tick, its positions before that) -> raises
+LimitViolationError."""
+
+
+@dataclass(frozen=True)
+class ValidationRules:
+    """What the endpoint demands of a chunk beyond the joint limits."""
+
+    joint_names: tuple[str, ...]
+    """The names that a chunk must have, in this order."""
+    grid_ns: int
+    """Time between two samples."""
+    max_points: int = 500
+    """Longest chunk: two seconds. Bounds the work that one message can cause."""
+    max_ahead_ns: int = 500_000_000
+    """How far after now a chunk may start."""
+    splice_tolerance: tuple[float, float, float] = (1e-6, 1e-5, 1e-3)
+    """Largest step between plan and chunk at the chunk's first tick: rad, rad/s, rad/s^2."""
+    rest_tolerance: tuple[float, float] = (1e-6, 1e-4)
+    """What counts as rest at the end: rad/s, rad/s^2."""
+
+
+class ChunkValidator:
+    """Judges chunks against the rules, the present plan and the joint limits.
+
+    Args:
+        rules: Names, grid and tolerances.
+        check_limits: Independent check of position, velocity, acceleration, jerk, hand speed
+            and workspace on the grid (`deploy.limits`).
+    """
+
+    def __init__(self, rules: ValidationRules, check_limits: LimitCheck) -> None:
+        self.rules = rules
+        self._check_limits = check_limits
+
+    def check(self, chunk: TrajectoryChunk, plan: PlanExecutor, now: int) -> int:
+        """Judge a chunk.
+
+        Args:
+            chunk: As decoded from the wire.
+            plan: What the endpoint would do without it.
+            now: The tick that is due next; tick k is due at k * grid_ns.
+
+        Returns:
+            The tick of the chunk's first sample.
+
+        Raises:
+            CommandRefusedError: Names the rule that was broken, with the numbers.
+        """
+        check_structure(chunk, self.rules)
+        tick = check_time(chunk, self.rules, now)
+        check_splice(chunk, plan.point(tick), self.rules)
+        check_rest(chunk, self.rules)
+        try:
+            self._check_limits(chunk.q, chunk.v, chunk.a, plan.point(tick), plan.before(tick))
+        except LimitViolationError as error:
+            raise CommandRefusedError(str(error)) from error
+        return tick
+
+
+def check_size(payload: bytes) -> None:
+    """Bounds the work that one message can cause before anything of it is known to be right.
+
+    Raises:
+        CommandRefusedError: How long the message is.
+    """
+    if len(payload) > MAX_CHUNK_BYTES:
+        raise CommandRefusedError(
+            f"the command has {len(payload)} bytes; at most {MAX_CHUNK_BYTES} are read"
+        )
+
+
+def check_structure(chunk: TrajectoryChunk, rules: ValidationRules) -> None:
+    """Names, shapes, lengths, finiteness and the grid of times.
+
+    Raises:
+        CommandRefusedError: What is wrong.
+    """
+    if tuple(chunk.joint_names) != rules.joint_names:
+        raise CommandRefusedError(
+            f"joints must be {', '.join(rules.joint_names)} in this order; "
+            f"got {', '.join(chunk.joint_names) or 'none'}"
+        )
+    times = chunk.time_from_start_ns
+    if not 2 <= len(times) <= rules.max_points:
+        raise CommandRefusedError(
+            f"a chunk has 2 to {rules.max_points} points; this has {len(times)}"
+        )
+    shape = (len(times), len(rules.joint_names))
+    for name, values in (
+        ("positions", chunk.q),
+        ("velocities", chunk.v),
+        ("accelerations", chunk.a),
+    ):
+        if np.shape(values) != shape:
+            raise CommandRefusedError(
+                f"{name} must have shape {shape}; got {np.shape(values)}: every point needs "
+                "positions, velocities and accelerations"
+            )
+        if not np.isfinite(values).all():
+            raise CommandRefusedError(f"{name} hold values that are not finite")
+    if not np.array_equal(times, np.arange(len(times)) * rules.grid_ns):
+        raise CommandRefusedError(
+            f"points must lie at 0, 1, 2, ... times {rules.grid_ns * 1e-6:g} ms from the stamp"
+        )
+
+
+def check_time(chunk: TrajectoryChunk, rules: ValidationRules, now: int) -> int:
+    """Tick of the first sample: on the grid, not over, not too far ahead.
+
+    Raises:
+        CommandRefusedError: The stamp and the endpoint's clock.
+    """
+    tick, off_grid = divmod(chunk.stamp_ns, rules.grid_ns)
+    if off_grid:
+        raise CommandRefusedError(
+            f"stamp {chunk.stamp_ns} ns is not a multiple of the grid of {rules.grid_ns} ns"
+        )
+    if tick < now:
+        late_ms = (now - tick) * rules.grid_ns * 1e-6
+        raise BrokenStreamError(f"stamp is {late_ms:g} ms in the past of the endpoint's clock")
+    ahead_ns = (tick - now) * rules.grid_ns
+    if ahead_ns > rules.max_ahead_ns:
+        raise CommandRefusedError(
+            f"stamp is {ahead_ns * 1e-6:g} ms ahead of the endpoint's clock; "
+            f"at most {rules.max_ahead_ns * 1e-6:g} ms are allowed"
+        )
+    return tick
+
+
+def check_fresh(stamp_ns: int, clock_ns: int) -> None:
+    """A command without a place in the plan must have been made just now.
+
+    Args:
+        stamp_ns: Of the command, in the endpoint's clock.
+        clock_ns: That clock now.
+
+    Raises:
+        CommandRefusedError: How old the command is.
+    """
+    age_ns = clock_ns - stamp_ns
+    if abs(age_ns) > MAX_COMMAND_AGE_NS:
+        raise CommandRefusedError(
+            f"the command is {age_ns * 1e-9:.6g} s old by the endpoint's clock; "
+            f"at most {MAX_COMMAND_AGE_NS * 1e-9:g} s are allowed"
+        )
+
+
+def check_splice(chunk: TrajectoryChunk, present: PlanPoint, rules: ValidationRules) -> None:
+    """The first sample must be what the endpoint would command there anyway.
+
+    Raises:
+        CommandRefusedError: Quantity, joint and size of the step.
+    """
+    for what, unit, start, expected, tolerance in zip(
+        ("position", "velocity", "acceleration"),
+        ("rad", "rad/s", "rad/s^2"),
+        (chunk.q[0], chunk.v[0], chunk.a[0]),
+        present,
+        rules.splice_tolerance,
+        strict=True,
+    ):
+        step = np.abs(start - expected)
+        joint = step.argmax()
+        if step[joint] > tolerance:
+            raise BrokenStreamError(
+                f"splice: {what} of {rules.joint_names[joint]} steps by {step[joint]:.3g} {unit} "
+                f"from the endpoint's plan (tolerance {tolerance:g})"
+            )
+
+
+def check_rest(chunk: TrajectoryChunk, rules: ValidationRules) -> None:
+    """The last sample must be at rest, so that silence after it is safe.
+
+    Raises:
+        CommandRefusedError: The speed or acceleration left at the end.
+    """
+    speed, acceleration = np.abs(chunk.v[-1]).max(), np.abs(chunk.a[-1]).max()
+    if speed > rules.rest_tolerance[0] or acceleration > rules.rest_tolerance[1]:
+        raise CommandRefusedError(
+            f"a chunk must end at rest; this ends at {speed:.3g} rad/s, {acceleration:.3g} rad/s^2"
+        )

@@ -1,0 +1,204 @@
+"""The daemon's view of the endpoint: services, status, and what its refusals mean."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from skewmi.deploy.robot.description import EndpointDescription
+from skewmi.deploy.robot.states import EndpointState
+from skewmi.deploy.wire import topics
+from skewmi.deploy.wire.messages import (
+    JointStates,
+    Status,
+    TriggerReply,
+    decode_status,
+    encode_joint_states,
+)
+from skewmi.deploy.wire.transport import Link
+from skewmi.errors import CommandRefusedError, SkewmiError, TransportError
+from skewmi.policy_io import Array
+from skewmi.robot_models import yumi
+
+CALL_TIMEOUT_S = 5.0
+REST_TIMEOUT_S = 10.0
+ROBOT_STATUS_NAME = "skewmi_robot"
+
+_ENDING = (EndpointState.STOPPING.value, EndpointState.DISARMED.value)
+
+
+class StopRequestedError(SkewmiError):
+    """Somebody asked the arm to stop; no further episode is started."""
+
+
+class LateChunkError(CommandRefusedError):
+    """The endpoint refused a chunk for coming too late or after a lost one; the arm brakes."""
+
+
+class RobotClient:
+    """Commands an endpoint, and watches what it says.
+
+    Args:
+        link: An open session to it.
+        dry_run: Only ask, never command.
+    """
+
+    def __init__(self, link: Link, *, dry_run: bool) -> None:
+        self._link = link
+        self._dry_run = dry_run
+        self._commands = link.publisher(topics.YUMI_TRAJECTORY)
+        self._gripper = link.publisher(topics.YUMI_GRIPPER)
+        self._status = link.subscribe(topics.YUMI_STATUS, depth=None)
+        self._refused = 0
+        self._armed = False
+        self._heard = False
+
+    @property
+    def _gids(self) -> bytes:
+        return self._commands.gid + self._gripper.gid
+
+    def describe(self) -> EndpointDescription:
+        """What the endpoint is and does now.
+
+        Raises:
+            TransportError: It does not answer, or not in our words.
+        """
+        return EndpointDescription.from_json(self._call(topics.YUMI_DESCRIBE).message)
+
+    def reset_scene(self, seed: int) -> None:
+        """Put a simulated scene and its arm back to the start of an episode."""
+        if not self._dry_run:
+            self._call(topics.YUMI_SCENE_RESET, str(seed).encode())
+
+    def arm(self) -> None:
+        """Become the commander.
+
+        Raises:
+            CommandRefusedError: Somebody else is, or the endpoint is in fault.
+        """
+        if not self._dry_run:
+            self._call(topics.YUMI_ARM, self._gids)
+            self._armed = True
+        self._refused, self._heard = 0, False
+        self._news()
+
+    def put_chunk(self, payload: bytes) -> None:
+        """Send an encoded chunk."""
+        if not self._dry_run:
+            self._commands.put(payload)
+
+    def open_gripper(self, opening: float, stamp_ns: int) -> None:
+        """Command the travel of each finger from closed, m."""
+        if not self._dry_run:
+            names, nothing = yumi.finger_names("right")[:1], np.zeros(0)
+            message = JointStates(stamp_ns, names, np.array([opening]), nothing, nothing)
+            self._gripper.put(encode_joint_states(message))
+
+    def check(self, *, late_is_final: bool) -> None:
+        """Look at what the endpoint has said since the last call.
+
+        Args:
+            late_is_final: Treat a late chunk as any other refused one.
+
+        Raises:
+            StopRequestedError: It was stopped.
+            LateChunkError: It refused a chunk as late.
+            CommandRefusedError: It refused a command for another reason.
+            TransportError: It is in fault.
+        """
+        for status in self._news():
+            says = status.values.get("state")
+            if says == EndpointState.FAULT.value:
+                raise TransportError(f"the endpoint is in {status.message}")
+            if says in _ENDING:
+                raise StopRequestedError(f"the endpoint is {status.message}")
+            if self._note_refusals(status):
+                refusal = status.values.get("refusal", "")
+                late = status.values.get("out_of_step") == "True" and not late_is_final
+                kind = LateChunkError if late else CommandRefusedError
+                raise kind(f"the endpoint refused a command: {refusal}")
+
+    def wait_for_hold(self) -> Array:
+        """Wait, armed, until the tail has been followed to its end.
+
+        Returns:
+            Where the endpoint holds the arm, rad. Shape (7,).
+
+        Raises:
+            StopRequestedError: It was stopped meanwhile.
+            TransportError: It does not come to rest, or is in fault.
+        """
+        deadline = time.monotonic() + REST_TIMEOUT_S
+        while (description := self.describe()).state != EndpointState.HOLDING.value:
+            if description.state == EndpointState.FAULT.value:
+                raise TransportError(f"the endpoint is in fault: {description.reason}")
+            if description.state != EndpointState.EXECUTING.value:
+                raise StopRequestedError(f"the endpoint is {description.state}")
+            if time.monotonic() > deadline:
+                raise TransportError(f"the arm does not rest within {REST_TIMEOUT_S:g} s")
+            time.sleep(0.02)
+        for status in self._news():
+            self._note_refusals(status)
+        return np.array(description.commanded_position)
+
+    def disarm(self) -> EndpointDescription | None:
+        """Give the arm back, and wait until the tail has been followed to its end.
+
+        Nobody else's run is ended by our failure: the endpoint does it for its commander alone. Nor
+        is a fault acknowledged.
+
+        Returns:
+            What the endpoint says then; None if it was never armed.
+
+        Raises:
+            TransportError: It does not answer, or does not come to rest.
+        """
+        if not self._armed:
+            return None
+        deadline = time.monotonic() + REST_TIMEOUT_S
+        # Refused if somebody else commands by now: then ours has come to rest before.
+        self._link.call(topics.YUMI_DISARM, CALL_TIMEOUT_S, self._gids)
+        while (description := self.describe()).state == EndpointState.STOPPING.value:
+            if time.monotonic() > deadline:
+                raise TransportError(f"the arm does not rest within {REST_TIMEOUT_S:g} s")
+            time.sleep(0.005)
+        self._armed = False
+        return description
+
+    def _news(self) -> list[Status]:
+        """What the endpoint has said, oldest first, since it first named us its commander.
+
+        What it said before it was armed, such as that it is disarmed, may arrive after the
+        answer to our arming.
+        """
+        news = []
+        for sample in self._status.drain():
+            status = decode_status(sample.payload)
+            if status.name != ROBOT_STATUS_NAME or self._dry_run:
+                continue
+            self._heard = self._heard or self._is_ours(status)
+            if self._heard:
+                news.append(status)
+        return news
+
+    def _is_ours(self, status: Status) -> bool:
+        return status.values.get("commander") == self._commands.gid.hex()
+
+    def _note_refusals(self, status: Status) -> bool:
+        """Whether the endpoint has refused more of ours than it had when last heard.
+
+        What it refused of others, or before we armed, is none of our business: else anybody
+        could stop us with a chunk of his own.
+        """
+        if not self._is_ours(status):
+            return False
+        before = self._refused
+        self._refused = int(status.values.get("refused_of_commander", "0"))
+        return self._refused > before
+
+    def _call(self, service: topics.Service, request: bytes = b"") -> TriggerReply:
+        reply = self._link.call(service, CALL_TIMEOUT_S, request)
+        if not reply.success:
+            raise CommandRefusedError(f"{service.name} was refused: {reply.message}")
+        return reply

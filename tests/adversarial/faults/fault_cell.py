@@ -1,0 +1,290 @@
+"""One cell of the matrix: a run with one fault in one phase, what was seen, and a run after it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from fault_clock import WallClock
+from fault_daemon import DaemonProcess
+from fault_link import MOVING, FaultLink
+from fault_motion import Motion, assert_safe
+from fault_proxy import TcpProxy
+from fault_robot import Robot
+
+from skewmi.deploy.realtime import hot_loop
+from skewmi.deploy.robot.description import EndpointDescription
+from skewmi.deploy.wire import topics
+from skewmi.deploy.wire.transport import Link, TransportConfig
+
+SPREAD = 0.05
+"""Of the start: a start motion of several centimetres, long enough for a fault in it, m."""
+STEPS = 18
+"""Control steps after which a run ends by itself."""
+RESUMED_STEPS = 5
+REST_TIMEOUT_S = 10.0
+ATTEMPTS = 5
+"""For runs that a busy machine spoils."""
+MOVED = 0.005
+"""Way of the hand that shows that it can be used, m."""
+RESUMED_SPREAD = 0.01
+"""m"""
+RESUMED_LEAD_MS = 60.0
+
+
+class Phase(Enum):
+    START = "start motion"
+    RUNNING = "running"
+    STOPPING = "stopping"
+
+
+GOES_ON = "goes on"
+RESTS_GOES_ON = "rests, goes on"
+STOPPED = "stopped"
+FAULT = "fault"
+AS_ASKED = "rests as asked"
+DISARMED = "rests, disarmed"
+"""Of an arm whose daemon is dead."""
+
+
+BUSY = ("no new joint state for", "start motions came too late", "missed ")
+"""What is said of a run on a machine that has no time for it."""
+
+
+class NotReachedError(Exception):
+    """The cell was not brought about; on a busy machine the arm may stop before."""
+
+
+@dataclass(frozen=True)
+class Observed:
+    """What a cell came to."""
+
+    verdict: str
+    said: str
+    """Everything that report and endpoint told the user, and the intruder if there is one."""
+    shares: dict[str, float]
+    """Largest use of each limit by the commanded motion."""
+    times: dict[str, list[tuple[int, int]]]
+    """See `FaultLink.times`."""
+
+
+class Cell:
+    """What faults act on.
+
+    Args:
+        bench: A running endpoint and a daemon that is about to run.
+        link: Between them.
+        proxy: Between the daemon and the link, or None.
+    """
+
+    def __init__(self, bench: Bench, link: FaultLink, proxy: TcpProxy | None) -> None:
+        self.robot, self.daemon, self.clock = bench.robot, bench.daemon, bench.clock
+        self.link, self.proxy = link, proxy
+        self.told: list[str] = []
+        """What others than the daemon were told."""
+        self.fault_s: float | None = None
+        """When the fault began, monotonic clock."""
+        self.endpoint_died_s: float | None = None
+        self._threads: list[threading.Thread] = []
+
+    def stop(self) -> None:
+        """What Ctrl-C does."""
+        self.daemon.tell(do="stop")
+
+    def began(self, time_s: float) -> None:
+        """The fault happens now."""
+        self.fault_s = time_s
+
+    def spawn(self, action: Callable[[], None]) -> None:
+        """Do something that takes time, beside the link."""
+        thread = threading.Thread(target=action)
+        thread.start()
+        self._threads.append(thread)
+
+    def join(self) -> None:
+        for thread in self._threads:
+            thread.join(30.0)
+            assert not thread.is_alive()
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One row of the matrix."""
+
+    name: str
+    inject: Callable[[Cell], None]
+    """Called in the link's thread, before the chunk that it has just received goes on."""
+    after_stop: Callable[[Cell], None] | None = None
+    """In phase stopping: called when the endpoint has answered the stop and brakes. None: the
+    stop is asked for at the moment that the fault begins."""
+    plant: str = "nothing"
+    """What is planted in the daemon."""
+    lock_step: bool = False
+    proxied: bool = False
+    """Whether there is a TCP proxy between daemon and link."""
+    lead_ms: float = 40.0
+    """See `DeployOptions`. More than its default, for the same reason as `ATTEMPTS`."""
+    clock_jump_s: int = 0
+    """By how much the wall clock is to jump, which needs a bench with such a clock."""
+
+
+class Bench:
+    """An endpoint and a daemon to run cells on; a context manager that ends both.
+
+    Args:
+        folder: For the endpoint's log.
+        lock_step: Their pace.
+        clock: That both shall have, or None for the machine's.
+    """
+
+    def __init__(self, folder: Path, *, lock_step: bool, clock: WallClock | None = None) -> None:
+        environment = {} if clock is None else clock.environment
+        self.clock = clock
+        self.robot = Robot(folder / "targets", lock_step=lock_step, environment=environment)
+        self.daemon = DaemonProcess(environment)
+
+    def __enter__(self) -> Self:
+        self.robot.__enter__()
+        self.daemon.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.daemon.close()
+        self.robot.__exit__()
+
+
+def run_cell(fault: Fault, phase: Phase, bench: Bench) -> Observed:
+    """Run with the fault, judge the motion, and run again without it.
+
+    Args:
+        fault: Which.
+        phase: When.
+        bench: Of the fault's pace, disarmed.
+
+    Raises:
+        AssertionError: A limit was broken, the arm does not rest, or it cannot be used afterwards.
+        NotReachedError: The arm did not move when the fault came, or the fault did not come.
+    """
+    robot, daemon = bench.robot, bench.daemon
+    assert robot.lock_step == fault.lock_step
+    first_row = len(robot.rows())
+    with ExitStack() as stack:
+        link = stack.enter_context(FaultLink(robot.locator, lock_step=fault.lock_step))
+        proxy = stack.enter_context(TcpProxy(link.locator)) if fault.proxied else None
+        cell = Cell(bench, link, proxy)
+        _schedule(fault, phase, cell)
+        # The link shall not be slower than what it links.
+        stack.enter_context(hot_loop(priority=not fault.lock_step))
+        report = daemon.run(
+            (proxy or link).locator,
+            lock_step=fault.lock_step,
+            steps=STEPS,
+            spread=SPREAD,
+            lead_ms=fault.lead_ms,
+            plant=fault.plant,
+            stop_with_plant=phase is Phase.STOPPING,
+            began=cell.began,
+        )
+        cell.join()
+        description = _wait_for_rest(robot)
+        said = f"{_said(report, link, cell)} | {description.reason}"
+    end = np.array(description.commanded_position)
+    motion = Motion.of(robot.rows()[first_row:], end, cell.endpoint_died_s)
+    shares = assert_safe(motion)
+    _resume(bench)
+    if cell.fault_s is None:
+        raise NotReachedError(f"the fault did not happen: {said}")
+    if motion.speed_at(cell.fault_s) < MOVING / 4:
+        raise NotReachedError(f"the arm did not move when the fault came: {said}")
+    verdict = _verdict(report, phase, motion, cell.fault_s)
+    return Observed(verdict, said, shares, link.times)
+
+
+def _schedule(fault: Fault, phase: Phase, cell: Cell) -> None:
+    def begin() -> None:
+        if fault.plant == "nothing":
+            cell.began(time.monotonic())
+        if phase is not Phase.STOPPING or fault.after_stop is None:
+            fault.inject(cell)
+        if phase is Phase.STOPPING and fault.plant == "nothing":
+            cell.stop()
+
+    def stopped() -> None:
+        cell.began(time.monotonic())
+        assert fault.after_stop is not None
+        fault.after_stop(cell)
+
+    if phase is Phase.STOPPING and fault.after_stop is not None:
+        cell.link.on_stopped = stopped
+    daemon_state = "to start" if phase is Phase.START else "running"
+    cell.link.when_moving(daemon_state, fault.lead_ms, begin)
+
+
+def _said(report: dict[str, Any] | None, link: FaultLink, cell: Cell) -> str:
+    said = [*cell.told, link.said_by_robot()]
+    if report is not None:
+        said += [episode["reason"] for episode in report["per_episode"]]
+        if report["missed_cycles"]:
+            said.append(f"missed {report['missed_cycles']} cycles")
+    return " | ".join(said)
+
+
+def _wait_for_rest(robot: Robot) -> EndpointDescription:
+    """Until the endpoint is disarmed; a fault is acknowledged as `skewmi stop` does."""
+    deadline = time.monotonic() + REST_TIMEOUT_S
+    config = TransportConfig.for_client(robot.locator, lock_step=robot.lock_step)
+    with Link.open(config, "watcher") as link:
+        while True:
+            answer = link.call(topics.YUMI_DESCRIBE, 5.0)
+            description = EndpointDescription.from_json(answer.message)
+            if description.state == "disarmed":
+                return description
+            if description.state == "fault":
+                link.call(topics.YUMI_STOP, 5.0)
+            assert time.monotonic() < deadline, f"not at rest: {description}"
+            time.sleep(0.02)
+
+
+def _verdict(report: dict[str, Any] | None, phase: Phase, motion: Motion, fault_s: float) -> str:
+    if report is None:
+        return DISARMED
+    (episode,) = report["per_episode"]
+    if episode["outcome"] != "stopped" or episode["reason"] != "interrupted":
+        return str(episode["outcome"])
+    if phase is Phase.STOPPING:
+        return AS_ASKED
+    assert episode["steps"] >= STEPS
+    # Between start motion and policy the arm rests anyway.
+    rests = motion.standstills(fault_s) - (1 if phase is Phase.START else 0)
+    return RESTS_GOES_ON if rests > 0 else GOES_ON
+
+
+def _resume(bench: Bench) -> None:
+    """Arm again and move, by another short run."""
+    robot = bench.robot
+    first_row = len(robot.rows())
+    for _ in range(ATTEMPTS):
+        report = bench.daemon.run(
+            robot.locator,
+            lock_step=robot.lock_step,
+            steps=RESUMED_STEPS,
+            spread=RESUMED_SPREAD,
+            lead_ms=RESUMED_LEAD_MS,
+        )
+        assert report is not None
+        (episode,) = report["per_episode"]
+        if not any(reason in episode["reason"] for reason in BUSY):
+            break
+    assert episode["reason"] == "interrupted", f"no way to go on: {episode}"
+    assert episode["steps"] == RESUMED_STEPS
+    end = np.array(_wait_for_rest(robot).commanded_position)
+    motion = Motion.of(robot.rows()[first_row:], end)
+    assert motion.path_length() > MOVED, "it did not move"
+    assert_safe(motion)

@@ -1,0 +1,124 @@
+"""What can go wrong inside of the daemon: planner, policy, torque limits."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+from fault_chunks import breach
+
+from skewmi.deploy.motion.planner import PlannedChunk, Planner
+from skewmi.deploy.motion.start_motion import StartMotion
+from skewmi.deploy.session import episode as episode_module
+from skewmi.deploy.session import session as daemon_module
+from skewmi.deploy.session.preflight import planning_limits
+from skewmi.robot_models.limits import JointLimits
+
+BREACHES = (
+    "position",
+    "velocity",
+    "acceleration",
+    "jerk",
+    "tool speed",
+    "workspace box",
+    "torque",
+    "self-collision",
+)
+OVERRUN_S = 0.06
+STALL_S = 1.0
+WEAK = 0.5
+
+
+class Planted:
+    """Nothing goes wrong.
+
+    Args:
+        trigger: Set when it shall happen, and cleared when it happens.
+        began: To be called then.
+    """
+
+    torque_share = 1.0
+
+    def __init__(self, trigger: threading.Event, began: Callable[[], None]) -> None:
+        self._trigger = trigger
+        self._began = began
+
+    def _due(self) -> bool:
+        """Whether it is to happen now; true once."""
+        if not self._trigger.is_set():
+            return False
+        self._trigger.clear()
+        self._began()
+        return True
+
+    def plan(self, chunk: PlannedChunk) -> PlannedChunk:
+        """What becomes of a planned chunk before it is checked."""
+        return chunk
+
+    def act(self) -> None:
+        """Called when the policy is asked."""
+
+    def patches(self) -> list[tuple[Any, str, Any]]:
+        """(where, name, replacement) so that the daemon plans through `plan`."""
+        planted = self
+
+        class FaultyPlanner(Planner):
+            def step(self, splice: int | None = None) -> PlannedChunk:
+                return planted.plan(super().step(splice))
+
+        class FaultyStart(StartMotion):
+            def chunk(self, cycle: int) -> PlannedChunk:
+                return planted.plan(super().chunk(cycle))
+
+        def weak_limits(profile: str, speed: float) -> JointLimits:
+            limits = planning_limits(profile, speed)
+            return replace(limits, torque=planted.torque_share * limits.torque)
+
+        return [
+            (daemon_module, "Planner", FaultyPlanner),
+            (daemon_module, "planning_limits", weak_limits),
+            (episode_module, "StartMotion", FaultyStart),
+        ]
+
+
+class Breach(Planted):
+    """The planner breaks a limit: the daemon's own checks must see it."""
+
+    def __init__(self, kind: str, trigger: threading.Event, began: Callable[[], None]) -> None:
+        super().__init__(trigger, began)
+        self._kind = kind
+        if kind == "torque":
+            # With half the torque, a burst within the acceleration limit needs too much.
+            self.torque_share = WEAK
+
+    def plan(self, chunk: PlannedChunk) -> PlannedChunk:
+        return PlannedChunk(*breach(self._kind, chunk.state(0))) if self._due() else chunk
+
+
+class Overrun(Planted):
+    """One cycle's planning takes three cycles."""
+
+    def plan(self, chunk: PlannedChunk) -> PlannedChunk:
+        if self._due():
+            time.sleep(OVERRUN_S)
+        return chunk
+
+
+class Stall(Planted):
+    """The policy thinks for a second."""
+
+    def act(self) -> None:
+        if self._due():
+            time.sleep(STALL_S)
+
+
+PLANTS: dict[str, Callable[[threading.Event, Callable[[], None]], Planted]] = {
+    "nothing": Planted,
+    "overrun": Overrun,
+    "stall": Stall,
+    **{kind: partial(Breach, kind) for kind in BREACHES},
+}

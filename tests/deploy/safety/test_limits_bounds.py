@@ -1,0 +1,412 @@
+"""Dense sweeps around every bound of the chunk checker: accepted up to it, refused beyond.
+
+The bounds are written out here once more, as numbers: the checker must agree with them.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import FrozenInstanceError, replace
+
+import numpy as np
+import pytest
+
+from skewmi.deploy.safety.limits import ChunkChecker, LimitUsage
+from skewmi.errors import ConfigurationError, LimitViolationError
+from skewmi.policy_io import Array
+from skewmi.robot_models import limits, yumi
+
+LAB = limits.profile("lab")
+H = 0.004
+MIDDLE = (LAB.position_lower + LAB.position_upper) / 2
+HALF = (LAB.position_upper - LAB.position_lower) / 2
+NAMES = yumi.joint_names("right")
+CHECKER = ChunkChecker(LAB)
+LADDER = (0.0, 0.5, 0.9, 0.999, 1.001, 1.1, 2.0, 1e3)
+Chunk = tuple[Array, Array, Array]
+
+JOINTS = range(7)
+SIGNED_JOINTS = tuple(itertools.product(JOINTS, (1.0, -1.0)))
+
+
+def still(n: int, q: Array = MIDDLE) -> Chunk:
+    rows = np.tile(q, (n, 1))
+    return rows, np.zeros_like(rows), np.zeros_like(rows)
+
+
+def verdict(checker: ChunkChecker, *chunk: Array, **options: object) -> str:
+    """The limit that the chunk breaks, or "" if it is accepted."""
+    try:
+        checker.check(*chunk, **options)  # type: ignore[arg-type]
+    except LimitViolationError as error:
+        return error.limit
+    return ""
+
+
+def refusal(checker: ChunkChecker, *chunk: Array, **options: object) -> LimitViolationError:
+    with pytest.raises(LimitViolationError) as caught:
+        checker.check(*chunk, **options)  # type: ignore[arg-type]
+    return caught.value
+
+
+# Rest and splice ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("which", "name"), [(1, "velocity"), (2, "acceleration")])
+@pytest.mark.parametrize(("row", "where"), [(0, "at the first start"), (-1, "at the end")])
+def test_rest_is_a_billionth(which: int, name: str, row: int, where: str) -> None:
+    for joint, sign in SIGNED_JOINTS:
+        for factor in (*LADDER, 1.0):
+            chunk = still(3)
+            chunk[which][row, joint] = sign * factor * 1e-9
+            assert verdict(CHECKER, *chunk) == (f"{name} {where}" if factor > 1.0 else "")
+
+
+def test_the_joint_with_the_largest_excess_is_named() -> None:
+    for joint in JOINTS:
+        q, v, a = still(2)
+        v[-1] = 2e-9
+        v[-1, joint] = -3e-9
+        error = refusal(CHECKER, q, v, a)
+        assert (error.value, error.bound) == (3e-9, 1e-9)
+        assert f"joint index {joint}" in str(error)
+
+
+@pytest.mark.parametrize(
+    ("which", "name", "tolerance"),
+    [(0, "position", 1e-9), (1, "velocity", 1e-7), (2, "acceleration", 1e-5)],
+)
+def test_splice_tolerances(which: int, name: str, tolerance: float) -> None:
+    for joint, sign in SIGNED_JOINTS:
+        chunk = still(4)
+        for factor in LADDER:
+            here = [part[0].copy() for part in chunk]
+            here[which][joint] += sign * factor * tolerance
+            expected = f"{name} jump at the splice" if factor > 1.0 else ""
+            assert verdict(CHECKER, *chunk, previous=tuple(here)) == expected
+        error = refusal(CHECKER, *chunk, previous=tuple(here))
+        assert error.value == pytest.approx(1e3 * tolerance, rel=1e-6)
+        assert error.bound == tolerance
+
+
+@pytest.mark.parametrize("which", [0, 1, 2])
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize(
+    ("option", "detail"), [("previous", "previous motion"), ("before", "earlier motion")]
+)
+def test_the_motion_in_progress_must_be_finite(
+    which: int, value: float, option: str, detail: str
+) -> None:
+    for joint in JOINTS:
+        chunk = still(4)
+        point = [part[0].copy() for part in chunk]
+        point[which][joint] = value
+        error = refusal(CHECKER, *chunk, **{option: tuple(point)})
+        assert error.limit == "finite numbers"
+        assert math.isnan(error.value)
+        assert error.bound == 0.0
+        assert detail in str(error)
+
+
+# Joint limits by differences ---------------------------------------------------------------------
+
+JERK = 800.0
+
+
+def thresholds(joint: int, shape: str) -> list[tuple[float, str]]:
+    """From which size on a pulse or a step of one number breaks what, the largest first.
+
+    In the middle of a chunk at rest, with u = (0, 0, 0, 1, 0, 0, 0) for a pulse and the running
+    sum of it for a step. The largest differences of a pulse are 1, 2, 3 (of order one, two,
+    three), of a step 1, 1, 2, each over h to its order.
+    """
+    velocity, acceleration = float(LAB.velocity[joint]), 15.0
+    return {
+        "q step": [
+            (velocity * H, "joint velocity"),
+            (acceleration * H**2, "joint acceleration"),
+            (JERK * H**3 / 2, "joint jerk"),
+            (JERK * H**3 / 6, "position against velocity"),
+        ],
+        "q pulse": [
+            (velocity * H, "joint velocity"),
+            (acceleration * H**2 / 2, "joint acceleration"),
+            (JERK * H**3 / 3, "joint jerk"),
+            (JERK * H**3 / 6, "position against velocity"),
+        ],
+        "v pulse": [
+            (velocity, "joint velocity"),
+            (acceleration * H, "joint acceleration"),
+            (JERK * H**2 / 2, "joint jerk"),
+            (JERK * H**2 / 6, "position against velocity"),
+        ],
+        "a pulse": [
+            (acceleration, "joint acceleration"),
+            (JERK * H, "joint jerk"),
+            (JERK * H / 2, "velocity against acceleration"),
+            (JERK * H / 3, "position against velocity"),
+        ],
+    }[shape]
+
+
+@pytest.mark.parametrize("shape", ["q step", "q pulse", "v pulse", "a pulse"])
+def test_a_false_number_breaks_the_first_limit_that_it_exceeds(shape: str) -> None:
+    for joint, sign in SIGNED_JOINTS:
+        table = thresholds(joint, shape)
+        sizes = sorted(bound * factor for bound, _ in table for factor in (0.99999, 1.00001, 1.05))
+        for size in (0.0, *sizes, 10.0):
+            chunk = still(7)
+            values = chunk["qva".index(shape[0])]
+            rows = slice(3, None) if shape.endswith("step") else 3
+            values[rows, joint] += sign * size
+            # A position far out is a broken position limit before all others.
+            beyond = shape[0] == "q" and size > HALF[joint] - 15.0 * H**2 / 8
+            expected = next((limit for bound, limit in table if size > bound), "")
+            assert verdict(CHECKER, *chunk) == ("joint position" if beyond else expected), size
+
+
+def test_the_joint_named_is_the_furthest_over_its_own_bound() -> None:
+    """Not the fastest, nor the one with the most rad/s in excess."""
+    v = np.zeros((7, 7))
+    v[3, 0], v[3, 6] = 1.3 * LAB.velocity[0], -1.2 * LAB.velocity[6]
+    assert 0.3 * LAB.velocity[0] < 0.2 * LAB.velocity[6]
+    error = refusal(CHECKER, still(7)[0], v, 0 * v)
+    assert (error.limit, error.value, error.bound) == (
+        "joint velocity",
+        v[3, 0],
+        LAB.velocity[0],
+    )
+    assert str(error).endswith("(joint index 0)")
+    assert type(error.value) is type(error.bound) is float
+
+
+@pytest.mark.parametrize(("excess", "limit"), [(0.9e-6, "joint jerk"), (1.1e-6, "joint acceler")])
+def test_a_millionth_over_a_bound_is_rounding(excess: float, limit: str) -> None:
+    q, v, a = still(7)
+    a[3, 2] = 15.0 * (1.0 + excess)
+    assert verdict(CHECKER, q, v, a).startswith(limit)
+
+
+@pytest.mark.parametrize("shape", ["q pulse", "v pulse", "a pulse"])
+def test_limits_hold_across_the_sample_before(shape: str) -> None:
+    """A step to the first sample from the one before it: differences 1, 1, 1 over h."""
+    for joint, sign in SIGNED_JOINTS:
+        which = "qva".index(shape[0])
+        table = {
+            0: [(JERK * H**3, "joint jerk"), (JERK * H**3 / 6, "position against velocity")],
+            1: [
+                (15.0 * H, "joint acceleration"),
+                (JERK * H**2, "joint jerk"),
+                (JERK * H**2 / 2, "velocity against acceleration"),
+                (JERK * H**2 / 6, "position against velocity"),
+            ],
+            2: [
+                (JERK * H, "joint jerk"),
+                (JERK * H / 2, "velocity against acceleration"),
+                (JERK * H / 3, "position against velocity"),
+            ],
+        }[which]
+        for bound, _ in table:
+            for factor in (0.99999, 1.00001):
+                chunk = still(7)
+                before = [part[0].copy() for part in chunk]
+                before[which][joint] += sign * bound * factor
+                expected = next((limit for b, limit in table if bound * factor > b), "")
+                assert verdict(CHECKER, *chunk, before=tuple(before)) == expected
+
+
+@pytest.mark.parametrize("jerk", [1e-8, 1e-6])
+def test_consistency_leaves_a_picoradian_of_room(jerk: float) -> None:
+    """So that the rounding of positions cannot break the bounds of a very small jerk."""
+    checker = ChunkChecker(replace(LAB, jerk=np.full(7, jerk)))
+    for joint in range(7):
+        for factor in (0.9, 1.1):
+            q, v, a = still(2, np.zeros(7) + 0.2 * HALF + MIDDLE)
+            q[1, joint] += factor * (jerk * H**3 / 6 + 1e-12)
+            assert verdict(checker, q, v, a) == ("position against velocity" * (factor > 1.0))
+            for sign in (1.0, -1.0):
+                q, v, a = still(2)
+                v[0, joint] = sign * factor * (jerk * H**2 / 2 + 1e-12)
+                previous = q[0], v[0], a[0]
+                expected = "velocity against acceleration" * (factor > 1.0)
+                assert verdict(checker, q, v, a, previous=previous) == expected
+
+
+# Position ----------------------------------------------------------------------------------------
+
+
+def test_position_bounds_leave_room_between_the_samples() -> None:
+    for joint, sign in SIGNED_JOINTS:
+        room = 15.0 * H**2 / 8
+        for beyond in np.array(
+            [-1.0, -1e-3, -1.1 * room, -1.01 * room, -0.99 * room, 0.0, 1e-3, 1.0]
+        ):
+            q, v, a = still(2)
+            q[:, joint] += sign * (HALF[joint] + beyond)
+            if beyond < -room:
+                usage = CHECKER.check(q, v, a)
+                reached = (HALF[joint] + beyond + room) / HALF[joint]
+                assert usage.position == pytest.approx(max(reached, (room / HALF).max()), rel=1e-12)
+            else:
+                error = refusal(CHECKER, q, v, a)
+                assert (error.limit, error.value) == ("joint position", q[0, joint])
+                assert (
+                    error.bound == (LAB.position_upper if sign > 0 else LAB.position_lower)[joint]
+                )
+                assert str(error).endswith(f"(joint index {joint})")
+
+
+def test_the_joint_and_sample_furthest_out_are_named() -> None:
+    for joint, sign in SIGNED_JOINTS:
+        q, v, a = still(9, MIDDLE - sign * (HALF + 0.01))
+        q[5:7, joint] = MIDDLE[joint] + sign * (HALF[joint] + np.array([0.03, 0.02]))
+        error = refusal(CHECKER, q, v, a)
+        assert error.value == q[5, joint]
+        assert error.bound == (LAB.position_upper if sign > 0 else LAB.position_lower)[joint]
+        assert f"joint index {joint}" in str(error)
+
+
+def test_the_position_bound_itself_is_allowed() -> None:
+    """With numbers that a double holds exactly: A h^2 / 8 is 2^-15."""
+    bounds = replace(
+        LAB,
+        position_lower=np.full(7, -1.0),
+        position_upper=np.full(7, 1.0),
+        acceleration=np.full(7, 16.0),
+    )
+    checker = ChunkChecker(bounds, grid_dt=2.0**-8)
+    for joint, sign in SIGNED_JOINTS:
+        q, v, a = still(2, np.zeros(7))
+        q[:, joint] = sign * (1.0 - 2.0**-15)
+        assert checker.check(q, v, a).position == 1.0
+        q[1, joint] += sign * 2.0**-40
+        error = refusal(checker, q, v, a)
+        assert error.bound == sign
+        assert type(error.value) is type(error.bound) is float
+
+
+def test_motions_in_progress_have_three_parts() -> None:
+    chunk = still(4)
+    short = (chunk[0][0], chunk[1][0])
+    for option in ("previous", "before"):
+        with pytest.raises(ValueError, match=r"zip\(\) argument"):
+            CHECKER.check(*chunk, **{option: short})  # type: ignore[arg-type]
+
+
+def test_use_of_the_jerk_counts_in_both_directions() -> None:
+    for (joint, sign), factor in itertools.product(SIGNED_JOINTS, (0.01, 0.1, 0.3)):
+        q, v, a = still(2)
+        a[0, joint] = sign * factor * JERK * H
+        usage = CHECKER.check(q, v, a, previous=(q[0], v[0], a[0]))
+        assert usage.jerk == pytest.approx(factor, rel=1e-12)
+
+
+def test_usage_is_plain_numbers() -> None:
+    """Of which reports and recordings are made."""
+    usage = CHECKER.check(*still(4)).as_dict()
+    assert {type(value) for value in usage.values()} == {float}
+
+
+# Form --------------------------------------------------------------------------------------------
+
+
+def test_from_two_samples_to_five_seconds() -> None:
+    for n in (2, 3, 1249, 1250):
+        CHECKER.check(*still(n), time_from_start_ns=np.arange(n) * 4_000_000)
+    for n in (0, 1, 1251, 1252):
+        error = refusal(CHECKER, *still(n))
+        assert (error.limit, error.value, error.bound) == ("chunk samples", n, 1250)
+        assert "at least 2" in str(error)
+
+
+@pytest.mark.parametrize("which", [0, 1, 2])
+@pytest.mark.parametrize("shape", [(3, 7), (5, 7), (4, 6), (4, 8), (4,), (4, 7, 1), (0, 7)])
+def test_other_shapes_are_named(which: int, shape: tuple[int, ...]) -> None:
+    chunk = list(still(4))
+    chunk[which] = np.zeros(shape)
+    error = refusal(CHECKER, *chunk)
+    assert (error.limit, error.bound) == ("chunk shape", 7)
+    # The other two are compared with q.
+    named, size = (
+        ("v", 28)
+        if which == 0 and len(shape) == 2 and shape[1] == 7
+        else (
+            "qva"[which],
+            math.prod(shape),
+        )
+    )
+    assert error.value == size
+    assert f"{named} has shape" in str(error)
+
+
+@pytest.mark.parametrize("which", [0, 1, 2])
+def test_numbers_that_are_not_finite_are_named(which: int) -> None:
+    chunk = still(4)
+    chunk[which][2, 3] = math.nan
+    error = refusal(CHECKER, *chunk)
+    assert math.isnan(error.value)
+    assert error.bound == 0.0
+    assert str(error).endswith(f"(in {'qva'[which]})")
+
+
+@pytest.mark.parametrize(
+    ("names", "in_place"),
+    [
+        ([NAMES[1], NAMES[0], *NAMES[2:]], 5),
+        (list(NAMES[:6]), 6),
+        ((*NAMES, *"abcde"), 7),
+        ([], 0),
+    ],
+)
+def test_names_in_place_are_counted_and_ten_shown(names: Sequence[str], in_place: int) -> None:
+    error = refusal(CHECKER, *still(4), joint_names=names)
+    assert (error.limit, error.value, error.bound) == ("joint names in place", in_place, 7)
+    assert f"got {list(names[:10])}, expected {list(NAMES)}" in str(error)
+
+
+def test_names_may_be_given_as_a_list() -> None:
+    names = list(NAMES)
+    checker = ChunkChecker(LAB, joint_names=names)
+    names.reverse()
+    checker.check(*still(4), joint_names=list(NAMES))
+
+
+@pytest.mark.parametrize("off", [-1, 1, 2, 4_000_000])
+@pytest.mark.parametrize("row", range(4))
+def test_times_off_the_grid_say_how_far(off: int, row: int) -> None:
+    times = np.arange(4, dtype=np.int64) * 4_000_000
+    times[row] += off
+    error = refusal(CHECKER, *still(4), time_from_start_ns=times)
+    assert (error.value, error.bound, type(error.value)) == (abs(off), 0, int)
+    assert "grid step 4000000 ns" in str(error)
+
+
+@pytest.mark.parametrize("shape", [(3,), (5,), (4, 1), (0,)])
+def test_as_many_times_as_samples(shape: tuple[int, ...]) -> None:
+    error = refusal(CHECKER, *still(4), time_from_start_ns=np.zeros(shape, dtype=np.int64))
+    assert (error.limit, error.value, error.bound) == ("chunk times", math.prod(shape), 4)
+
+
+def test_any_grid_of_whole_nanoseconds() -> None:
+    for tenths_ms in (*range(1, 200), 9000):
+        step_ns = tenths_ms * 100_000
+        checker = ChunkChecker(LAB, grid_dt=step_ns / 1e9)
+        checker.check(*still(3), time_from_start_ns=np.arange(3) * step_ns)
+        assert verdict(checker, *still(3), time_from_start_ns=np.arange(3) * (step_ns + 1))
+
+
+@pytest.mark.parametrize("value", [0.0, -1e-9, -1.0, math.nan])
+@pytest.mark.parametrize("name", ["grid_dt", "tcp_speed"])
+def test_steps_and_speeds_must_be_positive(name: str, value: float) -> None:
+    with pytest.raises(ConfigurationError, match=f"^{name} is {value}; it must be positive"):
+        ChunkChecker(LAB, **{name: value})  # type: ignore[arg-type]
+
+
+def test_no_use_is_zero_and_cannot_be_changed() -> None:
+    usage = LimitUsage()
+    assert set(usage.as_dict().values()) == {0.0}
+    assert len(usage.as_dict()) == 6
+    with pytest.raises(FrozenInstanceError):
+        usage.velocity = 1.0  # type: ignore[misc]

@@ -1,0 +1,79 @@
+"""A hand that is held up is not led further: in a deployment as in training."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from skewmi.deploy.options import DeployOptions
+from skewmi.deploy.recording.reader import read_recording
+from skewmi.deploy.robot.process import sim_endpoint_process
+from skewmi.deploy.run import run_deploy
+from skewmi.deploy.wire import topics
+from skewmi.deploy.wire.messages import decode_chunk, decode_joint_states
+from skewmi.policy_io import Array, PolicyLayout
+from skewmi.robot_models import frames, yumi
+from skewmi.robot_models.kinematics import ArmKinematics
+from skewmi.sim.open_press_close import definition
+from skewmi.sim.open_press_close.definition import make_layout
+
+STEPS_ASIDE = 5
+
+
+class LeanOnTheLid:
+    """Moves off the handle, then down with all it may command, for the rest of the episode."""
+
+    def __init__(self, layout: PolicyLayout) -> None:
+        self.layout = layout
+
+    def reset(self) -> None:
+        self.count = 0
+
+    def act(self, observation: Array) -> Array:
+        self.count += 1
+        return np.array([0.0, 1.0, 0.0] if self.count <= STEPS_ASIDE else [0.0, 0.0, -1.0])
+
+
+def hands(path: Path) -> tuple[Array, Array]:
+    """Measured and commanded hand at each joint state of a recording, world, m. (n, 3) each."""
+    recording, arm = read_recording(path), ArmKinematics("right")
+    commanded: dict[int, Array] = {}
+    for message in recording.messages[topics.YUMI_TRAJECTORY.name]:
+        chunk = decode_chunk(message.payload)
+        commanded.update(
+            zip((chunk.stamp_ns + chunk.time_from_start_ns).tolist(), chunk.q, strict=True)
+        )
+    names = yumi.joint_names("right")
+    rows = []
+    for message in recording.messages[topics.YUMI_JOINT_STATES.name]:
+        state = decode_joint_states(message.payload)
+        if state.stamp_ns in commanded:
+            q = [state.position[state.names.index(name)] for name in names]
+            rows.append((np.array(q), commanded[state.stamp_ns]))
+    measured, wanted = (np.array(column) for column in zip(*rows, strict=True))
+    return tuple(arm.forward(q)[0] + frames.BASE_IN_WORLD for q in (measured, wanted))  # type: ignore[return-value]
+
+
+def test_a_deployed_hand_on_the_lid_is_led_by_no_more_than_a_held_one_may_be(
+    tmp_path: Path,
+) -> None:
+    layout = make_layout()
+    assert layout.workspace is not None
+    path = tmp_path / "lean.mcap"
+    with sim_endpoint_process("open_press_close", "lab", lock_step=True) as robot:
+        options = DeployOptions(
+            episodes=1, connect=robot, lock_step=True, record=path, start_spread=0.0
+        )
+        report = run_deploy(LeanOnTheLid(layout), options)
+    assert report.episodes[0].outcome == "time over", report.as_dict()
+    measured, commanded = hands(path)
+    lead = np.linalg.norm(commanded - measured, axis=1)
+    # At 150 mm/s, 24 ms of chunks under way and the limits on braking: at most this, once.
+    contact = int(np.argmax(lead > 5e-3))
+    assert lead.max() < 0.020
+    # A second later the command has come back to what a held hand may be led by, on average: a
+    # policy that goes on pushing makes it swing, by the delay between command and contact.
+    standing = lead[contact + 50 : contact + 350]
+    held = layout.workspace.held_lead * definition.HAND_STEP
+    assert 0.5 * held < standing.mean() < 2.5 * held

@@ -1,0 +1,297 @@
+"""Old commands put again: whoever sends them, and whenever, the endpoint does not follow them."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+import zenoh
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from secured_link import robot_process
+
+from skewmi.deploy.motion.start_motion import StartMotion
+from skewmi.deploy.robot.backend import GRID_NS, fresh_tick
+from skewmi.deploy.robot.backends.mujoco.backend import SimTwin
+from skewmi.deploy.robot.controller import EndpointController
+from skewmi.deploy.robot.description import EndpointDescription
+from skewmi.deploy.robot.process import free_port
+from skewmi.deploy.robot.run import limit_check
+from skewmi.deploy.safety.validation import ChunkValidator, ValidationRules
+from skewmi.deploy.wire import ros2_keys, topics
+from skewmi.deploy.wire.messages import (
+    JointStates,
+    TrajectoryChunk,
+    decode_chunk,
+    decode_joint_states,
+    decode_status,
+    encode_chunk,
+    encode_joint_states,
+)
+from skewmi.deploy.wire.transport import Link, TransportConfig
+from skewmi.errors import CommandRefusedError
+from skewmi.policy_io import Array
+from skewmi.robot_models import limits as joint_limits
+from skewmi.robot_models import yumi
+
+LAB = joint_limits.profile("lab")
+SIZE = 0.08 * np.array([1, -0.5, 0, 0.5, 0, 1, 0])
+GIDS = (b"a" * 16, b"b" * 16)
+GRIPPER = b"g" * 16
+
+
+def make_robot(twin: SimTwin, first_tick: int) -> EndpointController:
+    """An endpoint that was just started, its arm at the task's start."""
+    twin.reset_scene(seed=0)
+    assert twin.layout.workspace is not None
+    rules = ValidationRules(joint_names=twin.joint_names, grid_ns=GRID_NS)
+    validator = ChunkValidator(rules, limit_check(LAB, twin.layout.workspace))
+    return EndpointController(twin, validator, first_tick=first_tick)
+
+
+def chunks(start: Array, stamp_ns: int, names: tuple[str, ...], back: bool = False) -> list[bytes]:
+    """A motion as the daemon streams it: a chunk every 20 ms, each with its own braking tail."""
+    motion = StartMotion(start, start + (-SIZE if back else SIZE), LAB)
+    payloads = []
+    for cycle in range(len(motion.q) // 5):
+        part = motion.chunk(cycle)
+        times = np.arange(len(part.q), dtype=np.int64) * GRID_NS
+        stamp = stamp_ns + 5 * cycle * GRID_NS
+        payloads.append(encode_chunk(TrajectoryChunk(stamp, names, times, part.q, part.v, part.a)))
+    return payloads
+
+
+@pytest.fixture(scope="module")
+def twin() -> SimTwin:
+    return SimTwin()
+
+
+def execute(robot: EndpointController, payloads: list[bytes], gid: bytes, first: int = 1) -> int:
+    """Send each chunk 12 ms before it is due, as a recording that is played; how many passed."""
+    passed = 0
+    sequence = first
+    for payload in payloads:
+        due = decode_chunk(payload).stamp_ns // GRID_NS
+        for _ in range(min(max(0, due - 3 - robot.tick_index), 25)):
+            robot.step(0)
+        passed += robot.receive(payload, gid, sequence, 0)
+        sequence += 1
+    return passed
+
+
+STEPS = st.lists(
+    st.one_of(
+        st.tuples(st.just("wait"), st.integers(1, 40)),
+        st.tuples(st.just("stop"), st.just(0)),
+        st.tuples(st.just("arm"), st.sampled_from([0, 1, 2])),
+        st.tuples(st.just("move"), st.just(0)),
+        st.tuples(st.just("replay"), st.integers(0, 2**32)),
+    ),
+    min_size=3,
+    max_size=25,
+)
+
+
+@settings(
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+    max_examples=150,
+    deadline=None,
+)
+@given(steps=STEPS, first=st.integers(0, 1000))
+def test_no_chunk_is_ever_followed_twice(
+    twin: SimTwin, steps: list[tuple[str, int]], first: int
+) -> None:
+    """Whatever happens in between, and with whatever sender and number it is put again."""
+    robot = make_robot(twin, first)
+    arms = (*GIDS, b"")
+    followed: list[bytes] = []
+    sequence, back, holder = 0, False, GIDS[0]
+    for what, number in [("arm", 0), ("move", 0), *steps, ("replay", 0)]:
+        if what == "wait":
+            for _ in range(number):
+                robot.step(0)
+        elif what == "stop":
+            robot.stop("test")
+        elif what == "arm":
+            try:
+                robot.arm(arms[number], 0)
+                holder = arms[number] or GIDS[0]
+            except CommandRefusedError:
+                pass
+        elif what == "move" and robot.plan.at_rest(robot.tick_index):
+            start = np.array(robot.commanded_position())
+            stamp_ns = (robot.tick_index + 3) * GRID_NS
+            for payload in chunks(start, stamp_ns, twin.joint_names, back)[:6]:
+                sequence += 1
+                if robot.receive(payload, holder, sequence, 0):
+                    followed.append(payload)
+            back = not back
+        elif what == "replay" and followed:
+            random = np.random.default_rng(number)
+            payload = followed[int(random.integers(len(followed)))]
+            gid = [*GIDS, bytes(random.bytes(16))][int(random.integers(3))]
+            forged = int(random.choice([1, sequence, sequence + 1, 2**62]))
+            before = [robot.plan.point(robot.tick_index + k).q.copy() for k in range(60)]
+            assert not robot.receive(payload, gid, forged, 0)
+            assert robot.take_refusals()[-1].reason
+            after = [robot.plan.point(robot.tick_index + k).q for k in range(60)]
+            np.testing.assert_array_equal(before, after)
+    assert followed, "nothing was followed: this shows nothing"
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=10)
+@given(gid=st.sampled_from([*GIDS, b""]), data=st.data())
+def test_a_recording_is_not_followed_by_a_restarted_endpoint(
+    twin: SimTwin, gid: bytes, data: st.DataObject
+) -> None:
+    """Even by one that is armed for the recorded sender, at rest at the recorded start."""
+    first = fresh_tick()
+    robot = make_robot(twin, first)
+    robot.arm(GIDS[0], 0)
+    start = np.array(robot.commanded_position())
+    recorded = chunks(start, (first + 50) * GRID_NS, twin.joint_names)
+    assert execute(robot, recorded, GIDS[0]) == len(recorded)
+
+    restarted = make_robot(twin, fresh_tick())
+    # It may have been up for any time.
+    for _ in range(data.draw(st.integers(0, 100))):
+        restarted.step(0)
+    restarted.arm(gid, 0)
+    assert execute(restarted, recorded, GIDS[0], data.draw(st.integers(1, 2**62))) == 0
+    assert restarted.refused == len(recorded)
+    why = "is not the commander" if gid == GIDS[1] else "the endpoint's clock"
+    assert all(why in refusal.reason for refusal in restarted.take_refusals())
+    np.testing.assert_array_equal(restarted.commanded_position(), start)
+
+
+def test_it_is_the_clock_that_tells_runs_apart(twin: SimTwin) -> None:
+    """The test above can fail: had both clocks started alike, the arm would have moved."""
+    robot = make_robot(twin, 0)
+    recorded = chunks(np.array(robot.commanded_position()), 50 * GRID_NS, twin.joint_names)
+    robot.arm(GIDS[0], 0)
+    assert execute(robot, recorded, GIDS[0]) == len(recorded)
+    alike = make_robot(twin, 0)
+    alike.arm(GIDS[0], 0)
+    assert execute(alike, recorded, GIDS[0]) == len(recorded)
+
+
+def test_clocks_start_years_apart_and_fit_a_ros_stamp() -> None:
+    starts = sorted(fresh_tick() * GRID_NS / 1e9 for _ in range(200))
+    assert starts[0] > 0.0
+    assert starts[-1] + 3600 * 24 * 365 * 30 < 2**31
+    assert len(set(starts)) == 200
+    assert all(start == int(start) for start in starts)
+
+
+# Over the wire, with the very bytes.
+
+
+def describe(link: Link) -> EndpointDescription:
+    return EndpointDescription.from_json(link.call(topics.YUMI_DESCRIBE, 5.0).message)
+
+
+def counts(link: Link, status) -> tuple[int, int, str]:
+    """Accepted and refused so far, and the reasons told since the last call."""
+    link.call(topics.YUMI_DESCRIBE, 5.0)
+    deadline = time.monotonic() + 5.0
+    reasons, values = [], {}
+    seen_since = time.monotonic_ns()
+    while not values or time.monotonic_ns() - seen_since < 0.7e9:  # it reports twice a second
+        assert time.monotonic() < deadline
+        for sample in status.drain():
+            decoded = decode_status(sample.payload)
+            if decoded.name == "skewmi_robot":
+                values = decoded.values
+                reasons.append(values["refusal"])
+        time.sleep(0.01)
+    return int(values["accepted"]), int(values["refused"]), "; ".join(filter(None, reasons))
+
+
+def test_bytes_put_again_over_the_wire_are_refused_with_the_reason() -> None:
+    locator = f"tcp/127.0.0.1:{free_port()}"
+    config = TransportConfig.for_client(locator)
+    chunk_key = ros2_keys.data_key(0, topics.YUMI_TRAJECTORY)
+    gripper_key = ros2_keys.data_key(0, topics.YUMI_GRIPPER)
+    recorded: list[tuple[str, bytes, bytes]] = []
+    with robot_process("--listen", locator), Link.open(config, "first") as link:
+        status = link.subscribe(topics.YUMI_STATUS, depth=None)
+        publisher = link.publisher(topics.YUMI_TRAJECTORY)
+        gripper = link.publisher(topics.YUMI_GRIPPER)
+        with zenoh.open(config.zenoh()) as other:
+            tap = other.declare_subscriber("0/yumi/right/*/**", zenoh.handlers.RingChannel(1000))
+            link.wait_for_endpoint(10.0)
+            time.sleep(0.3)  # until the tap is known to everybody
+            assert link.call(topics.YUMI_ARM, 5.0, publisher.gid + gripper.gid).success
+            before = describe(link)
+            start = np.array(before.commanded_position)
+            motion = StartMotion(start, start + SIZE, LAB)
+            times = np.arange(len(motion.q), dtype=np.int64) * GRID_NS
+            samples = (motion.q, motion.v, motion.a)
+            stamp_ns = before.clock_ns + 400_000_000  # a busy machine may be late
+            first = encode_chunk(TrajectoryChunk(stamp_ns, before.joint_names, times, *samples))
+            publisher.put(first)
+            names = yumi.finger_names("right")[:1]
+            fingers = JointStates(
+                before.clock_ns, names, np.array([0.02]), np.zeros(0), np.zeros(0)
+            )
+            gripper.put(encode_joint_states(fingers))
+            accepted, refused, reasons = counts(link, status)
+            assert (accepted, refused) == (1, 0), reasons
+            while (sample := tap.handler.try_recv()) is not None:
+                recorded.append(
+                    (str(sample.key_expr), sample.payload.to_bytes(), sample.attachment.to_bytes())
+                )
+            assert {key for key, _, _ in recorded} == {chunk_key, gripper_key}
+            deadline = time.monotonic() + 10.0
+            while describe(link).state != "holding":
+                assert time.monotonic() < deadline
+                time.sleep(0.05)
+            rest = describe(link).commanded_position
+            assert np.abs(np.array(rest) - start).max() > 0.05, "it did not move"
+
+            # The same bytes, from the same session and from another.
+            for number, session in enumerate((link._session, other), start=1):
+                for key, payload, attachment in recorded:
+                    session.put(key, payload, attachment=attachment)
+                accepted, refused, reasons = counts(link, status)
+                assert (accepted, refused) == (1, 2 * number)
+                # A machine so slow that the lease has run out refuses them all the more.
+                told = [reasons.count(w) for w in ("repeated or overtaken", "arm it first")]
+                assert sum(told) == 2, reasons
+            # With new numbers, as the commander's own next messages after it has armed again.
+            link.call(topics.YUMI_STOP, 5.0)
+            assert link.call(topics.YUMI_ARM, 5.0, publisher.gid + gripper.gid).success
+            publisher.put(first)
+            gripper_old = JointStates(
+                before.clock_ns - 10_000_000_000, names, np.array([0.0]), np.zeros(0), np.zeros(0)
+            )
+            gripper.put(encode_joint_states(gripper_old))
+            accepted, refused, reasons = counts(link, status)
+            assert (accepted, refused) == (1, 6)
+            assert "in the past of the endpoint's clock" in reasons
+            assert "s old by the endpoint's clock" in reasons
+            assert describe(link).commanded_position == rest
+
+    # The endpoint is started again, and armed for the recorded senders.
+    with (
+        robot_process("--listen", locator),
+        zenoh.open(config.zenoh()) as other,
+        Link.open(config, "second") as link,
+    ):
+        status = link.subscribe(topics.YUMI_STATUS, depth=None)
+        states = link.subscribe(topics.YUMI_JOINT_STATES)
+        link.wait_for_endpoint(10.0)
+        gids = {key: attachment[17:] for key, _, attachment in recorded}
+        assert link.call(topics.YUMI_ARM, 5.0, gids[chunk_key] + gids[gripper_key]).success
+        before = describe(link)
+        fingers = decode_joint_states(states.wait(5.0).payload).position[7]
+        time.sleep(0.3)
+        for key, payload, attachment in recorded:
+            other.put(key, payload, attachment=attachment)
+        accepted, refused, reasons = counts(link, status)
+        assert (accepted, refused) == (0, 2)
+        assert reasons.count("the endpoint's clock") == 2
+        assert describe(link).commanded_position == before.commanded_position
+        now = decode_joint_states(states.wait(5.0).payload).position[7]
+        assert now == pytest.approx(fingers, abs=1e-4)
