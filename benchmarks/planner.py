@@ -1,13 +1,13 @@
-"""Planner cycle and endpoint tick in real time, and the quality of the planned path.
+"""Planner cycle and robot server tick in real time, and the quality of the planned path.
 
     python benchmarks/planner.py --json --out results/planner.json
 
-The cycle is paced at 50 Hz as the daemon's: plan, check, guard, encode, within the daemon's own
+The cycle is paced at 50 Hz as the session's: plan, check, guard, encode, within the session's own
 real-time settings. Stages are timed inside of it; a cycle that is not done when the next is due
 counts as missed. Then cycles take turns with the bare calls of the libraries on the same chunks
 (`planner_bare`); `ratio_to_sum` is the cycle over their sum, medians of the processor time (other
-programs do not count): what the glue costs. Then the endpoint's tick at 250 Hz
-(`planner_endpoint`), and paths (`planner_path`).
+programs do not count): what the glue costs. Then the robot server's tick at 250 Hz
+(`planner_robot_server`), and paths (`planner_path`).
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import common
 import planner_path
 from planner_bare import LIBRARIES, OWN, BareCalls
-from planner_endpoint import measure_endpoint
 from planner_judge import UrdfArm
+from planner_robot_server import measure_robot_server
 from planner_scenes import press_workspace
 from planner_timing import Pace, Seconds, StageTimes, percentiles
 
@@ -63,7 +63,7 @@ def watch_stages(planner: Planner, times: StageTimes) -> None:
 
 
 class Cycle:
-    """What the daemon does every 20 ms: plan, check, guard, encode.
+    """What the session does every 20 ms: plan, check, guard, encode.
 
     Args:
         times: Gets the four stages' times.
@@ -82,7 +82,7 @@ class Cycle:
         self.count = self.continued = 0
         self.state = START, np.zeros(7), np.zeros(7)
         self.earlier = np.tile(START, (3, 1))
-        # As the daemon does: the first message of each length is laid out slowly.
+        # As the session does: the first message of each length is laid out slowly.
         for samples in range(2, 120):
             self._encode(np.zeros((samples, 7)), np.zeros((samples, 7)), np.zeros((samples, 7)))
 
@@ -189,17 +189,17 @@ def main() -> int:
     figures = measure_cycles(round(options.seconds / CYCLE_S), options.seed)
     figures |= measure_ratio(2000, options.seed)
     common.progress(f"endpoint ticks, {options.seconds:g} s")
-    cold = measure_endpoint(1.0, options.seed)
-    endpoint = measure_endpoint(options.seconds, options.seed)
-    endpoint["slowest_tick_after_a_cold_start_ms"] = cold["tick"]["max_ms"]
-    endpoint["p99_9_share_of_tick"] = round(endpoint["tick"]["p99_9_ms"] / (1e3 * TICK_S), 4)
+    cold = measure_robot_server(1.0, options.seed)
+    server = measure_robot_server(options.seconds, options.seed)
+    server["slowest_tick_after_a_cold_start_ms"] = cold["tick"]["max_ms"]
+    server["p99_9_share_of_tick"] = round(server["tick"]["p99_9_ms"] / (1e3 * TICK_S), 4)
     common.progress("paths")
     path = measure_paths()
     verdicts = path["verdict"]
     within = {
         "cycle_p99_9": figures["p99_9_share_of_cycle"] <= SHARE_BAR,
         "ratio_to_sum": figures["ratio_to_sum"] <= RATIO_BAR,
-        "tick_p99_9": endpoint["p99_9_share_of_tick"] <= SHARE_BAR,
+        "tick_p99_9": server["p99_9_share_of_tick"] <= SHARE_BAR,
         **{
             f"{kind}_{bar}": met
             for kind in ("steps", "corners")
@@ -208,7 +208,7 @@ def main() -> int:
     }
     document = common.write_result(
         "planner",
-        {"within": within, **figures, "endpoint": endpoint, "path": path},
+        {"within": within, **figures, "endpoint": server, "path": path},
         options.out,
         seed=options.seed,
         config={"seconds": options.seconds},

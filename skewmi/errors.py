@@ -59,4 +59,4 @@ class TransportError(SkewmiError):
 
 
 class CommandRefusedError(SkewmiError):
-    """The robot endpoint refused a command; the message gives its reason."""
+    """The robot server refused a command; the message gives its reason."""

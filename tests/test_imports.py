@@ -68,7 +68,7 @@ def test_package_imports_only_what_the_architecture_allows(package: str) -> None
     assert sorted(loaded.intersection(FORBIDDEN[package])) == []
 
 
-def test_simulated_endpoint_runs_without_torch() -> None:
+def test_simulated_robot_server_runs_without_torch() -> None:
     loaded = loaded_modules("skewmi.deploy.robot", ())
     assert sorted(loaded & {"torch", "skewmi.train", "skewmi.export"}) == []
 

@@ -1,6 +1,6 @@
 """Make certificates and Zenoh configurations for a link between two machines.
 
-Writes a folder per role: `endpoint` for the machine with the robot, `commander` for the machine
+Writes a folder per role: `robot server` for the machine with the robot, `commander` for the machine
 that runs `skewmi deploy` and `skewmi stop`, `observer` for those who only read states. Copy each
 to its machine and pass its `zenoh.json5` as `--zenoh-config`. Every certificate is signed by an
 authority whose key is not kept: run the command again to replace them all, before they expire
@@ -52,7 +52,7 @@ def run_certificates(options: CertificatesCommand) -> int:
         print(json.dumps({"expires": written.expires.isoformat(), "zenoh_config": files}))
         return 0
     print(f"valid until {written.expires:%Y-%m-%d %H:%M} UTC; copy each folder to its machine")
-    print(f"robot:    skewmi robot --zenoh-config {files['endpoint']}")
+    print(f"robot:    skewmi robot --zenoh-config {files['server']}")
     print(f"commands: skewmi deploy POLICY --zenoh-config {files['commander']}")
     print(f"watchers: {files['observer']}")
     return 0

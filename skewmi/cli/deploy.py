@@ -1,7 +1,7 @@
-"""Run an ONNX policy on a robot endpoint, and tell how it went.
+"""Run an ONNX policy on a robot server, and tell how it went.
 
 Without `--connect` a simulated robot is started in a process of its own and ended afterwards.
-Ctrl-C brakes the arm smoothly; so does killing this process, because whatever the endpoint has
+Ctrl-C brakes the arm smoothly; so does killing this process, because whatever the robot server has
 accepted ends at rest. Exit code 0 if all episodes ran to their end (however many succeeded), 1 if
 one was stopped or faulted or a file is not whole, 2 for bad input, 130 after Ctrl-C, SIGTERM or
 SIGHUP.
@@ -52,7 +52,7 @@ class DeployCommand:
     seed: int = 0
     """Of the start positions."""
     lock_step: bool = False
-    """Endpoint and daemon wait for each other: as fast as possible and repeatable."""
+    """Robot server and session wait for each other: as fast as possible and repeatable."""
     limits: str = "lab"
     """Joint limit profile (lab, careful); none is verified on hardware."""
     speed: float = 1.0

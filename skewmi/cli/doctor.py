@@ -26,7 +26,7 @@ from skewmi.cli import doctor_probes
 from skewmi.errors import ConfigurationError
 
 DEFAULT_PORT = 7447
-"""Where the robot endpoint listens by default, and Zenoh's usual port."""
+"""Where the robot server listens by default, and Zenoh's usual port."""
 
 _TIMEOUT_S = 60.0
 
@@ -36,7 +36,7 @@ class DoctorCommand:
     """Options of `skewmi doctor`."""
 
     port: int = DEFAULT_PORT
-    """TCP port on the loopback interface that the robot endpoint would use."""
+    """TCP port on the loopback interface that the robot server would use."""
     quick: bool = False
     """Only what takes no time: no imports, pictures or simulations."""
     json: bool = False
@@ -133,7 +133,7 @@ def _cores() -> Check:
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     if (cores or 1) < 2:
         return Check(
-            "cores", "warning", str(cores), "daemon, endpoint and recorder share one core: use 2"
+            "cores", "warning", str(cores), "session, server and recorder share one core: use 2"
         )
     return Check("cores", "ok", f"{cores} usable")
 
@@ -173,7 +173,7 @@ def _port(port: int) -> Check:
             probe.bind(("127.0.0.1", port))
         except OSError as error:
             return Check(
-                "port", "warning", f"127.0.0.1:{port}: {error}", "an endpoint runs? else --port"
+                "port", "warning", f"127.0.0.1:{port}: {error}", "a robot server runs? else --port"
             )
     return Check("port", "ok", f"127.0.0.1:{port} is free")
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from skewmi.deploy.recording.reader import LAYOUT, Recording, read_recording
 from skewmi.deploy.session.session import STATUS_NAME
-from skewmi.deploy.session.states import DaemonState
+from skewmi.deploy.session.states import SessionState
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.messages import JointStates, decode_joint_states, decode_status
 from skewmi.errors import ConfigurationError, NotFoundError
@@ -51,7 +51,7 @@ class FilmCommand:
 
 @dataclass(frozen=True)
 class Series:
-    """Samples of named joints over time; stamps in ns of the endpoint's clock."""
+    """Samples of named joints over time; stamps in ns of the robot server's clock."""
 
     stamps_ns: NDArray[np.int64]
     names: tuple[str, ...]
@@ -150,11 +150,11 @@ def joint_series(recording: Recording, topic: topics.Topic) -> Series:
 
 
 def running_stamps(recording: Recording) -> NDArray[np.int64]:
-    """When the daemon gave the arm to the policy, once per episode, ns of the endpoint's clock."""
+    """When the session gave the arm to the policy, once per episode, ns of the server's clock."""
     found = []
     for message in recording.messages.get(topics.YUMI_STATUS.name, ()):
         status = decode_status(message.payload)
-        entered = status.values.get("state") == DaemonState.RUNNING.value
+        entered = status.values.get("state") == SessionState.RUNNING.value
         if status.name == STATUS_NAME and entered and "event" in status.values:
             found.append(status.stamp_ns)
     return np.array(found, dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Start a robot endpoint: it publishes joint and scene states and follows checked commands.
+"""Start a robot server: it publishes joint and scene states and follows checked commands.
 
 `--backend sim` is the simulated YuMi in the task's scene, in a process of its own. It listens on
 this machine only unless told otherwise. Each change of its state is told on standard error, with
@@ -23,8 +23,8 @@ from typing import Literal
 from rich.console import Console
 
 from skewmi.cli.interrupt import signals_to_handle
-from skewmi.deploy.robot.description import EndpointDescription
-from skewmi.deploy.robot.run import SimEndpointOptions, run_sim_endpoint
+from skewmi.deploy.robot.description import RobotDescription
+from skewmi.deploy.robot.run import SimulatedRobotOptions, run_simulated_robot
 from skewmi.deploy.wire.transport import TransportConfig
 from skewmi.robot_models import limits as joint_limits
 
@@ -44,11 +44,11 @@ class RobotCommand:
     limits: str = "lab"
     """Joint limit profile to enforce (lab, careful); none is verified on hardware."""
     lock_step: bool = False
-    """Advance only when the daemon's chunk has arrived: as fast as possible, repeatable."""
+    """Advance only when the session's chunk has arrived: as fast as possible, repeatable."""
     zenoh_config: Path | None = None
     """Zenoh configuration file (JSON5 or YAML), such as `skewmi certificates` makes."""
     json: bool = False
-    """Print the endpoint's description as one JSON document once it is ready."""
+    """Print the robot server's description as one JSON document once it is ready."""
     end_with_input: bool = False
     """End when standard input is closed: for a parent process that must not leave it behind."""
 
@@ -56,7 +56,7 @@ class RobotCommand:
 def run_robot(options: RobotCommand) -> int:
     """Serve until interrupted. Returns 0."""
     profile = joint_limits.profile(options.limits)
-    config = TransportConfig.for_endpoint(
+    config = TransportConfig.for_robot(
         options.listen, lock_step=options.lock_step, zenoh_config=options.zenoh_config
     )
     stop = threading.Event()
@@ -66,7 +66,7 @@ def run_robot(options: RobotCommand) -> int:
         threading.Thread(target=_wait_for_end_of_input, args=(stop,), daemon=True).start()
     console = Console(stderr=True)
 
-    def ready(description: EndpointDescription) -> None:
+    def ready(description: RobotDescription) -> None:
         if options.json:
             print(description.to_json(), flush=True)
         pace = "lock-step" if options.lock_step else "real time"
@@ -83,22 +83,22 @@ def run_robot(options: RobotCommand) -> int:
             )
 
     with _log_told(console):
-        run_sim_endpoint(
+        run_simulated_robot(
             config,
-            SimEndpointOptions(profile, options.task, options.lock_step, options.twin),
+            SimulatedRobotOptions(profile, options.task, options.lock_step, options.twin),
             stop,
             on_ready=ready,
         )
     with suppress(OSError):  # The terminal may be gone.
-        console.print("arm at rest, endpoint ended", highlight=False)
+        console.print("arm at rest, robot server ended", highlight=False)
     return 0
 
 
 @contextmanager
 def _log_told(console: Console) -> Iterator[None]:
-    """Tell what the endpoint logs, each transition above all, while the block runs.
+    """Tell what the robot server logs, each transition above all, while the block runs.
 
-    From a thread of its own: the endpoint's loop must not wait for a terminal or a pipe.
+    From a thread of its own: the robot server's loop must not wait for a terminal or a pipe.
     """
 
     class Teller(logging.Handler):

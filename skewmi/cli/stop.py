@@ -11,7 +11,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from skewmi.deploy.robot.description import EndpointDescription
+from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.transport import Link, TransportConfig
 
@@ -21,14 +21,14 @@ class StopCommand:
     """Options of `skewmi stop`."""
 
     connect: str | None = None
-    """Zenoh locator of the endpoint; by default what --zenoh-config says, else
+    """Zenoh locator of the robot server; by default what --zenoh-config says, else
     tcp/127.0.0.1:7447."""
     timeout_s: float = 5.0
     """How long to wait for the arm to rest, s."""
     zenoh_config: Path | None = None
     """Zenoh configuration file (JSON5 or YAML), such as `skewmi certificates` makes."""
     json: bool = False
-    """Print the endpoint's state as one JSON document."""
+    """Print the robot server's state as one JSON document."""
 
 
 def run_stop(options: StopCommand) -> int:
@@ -39,7 +39,7 @@ def run_stop(options: StopCommand) -> int:
         link.call(topics.YUMI_STOP, options.timeout_s, b"skewmi stop")
         while True:
             answer = link.call(topics.YUMI_DESCRIBE, options.timeout_s)
-            description = EndpointDescription.from_json(answer.message)
+            description = RobotDescription.from_json(answer.message)
             if description.state == "disarmed" or time.monotonic() > deadline:
                 break
             time.sleep(0.02)

@@ -43,13 +43,13 @@ class DeployOptions:
     seed: int = 0
     """Of the start positions; episode k of two runs with one seed starts alike."""
     connect: str | None = None
-    """Zenoh locator of a running endpoint; None without `zenoh_config` starts a simulated one
+    """Zenoh locator of a running robot server; None without `zenoh_config` starts a simulated one
     and ends it afterwards."""
     twin: str | None = None
-    """Twin of the simulated endpoint that is started; not together with `connect` or
+    """Twin of the simulated robot that is started; not together with `connect` or
     `zenoh_config`."""
     lock_step: bool = False
-    """Endpoint and daemon wait for each other: fast and repeatable. Simulated endpoints only."""
+    """Robot server and session wait for each other: fast and repeatable. Simulated robots only."""
     limits: str = "lab"
     """Joint limit profile to plan with."""
     speed: float = 1.0
@@ -73,7 +73,7 @@ class DeployOptions:
     robot_model_hash: str | None = None
     """Robot model that the policy was trained with, if its file tells."""
     zenoh_config: Path | None = None
-    """Zenoh configuration file; says where a running endpoint is unless `connect` does."""
+    """Zenoh configuration file; says where a running robot server is unless `connect` does."""
 
     def __post_init__(self) -> None:
         if self.episodes < 1:

@@ -13,10 +13,10 @@ from skewmi.deploy.recording.reader import run_metadata
 from skewmi.deploy.recording.recorder import Recorder
 from skewmi.deploy.replay.live import LiveView
 from skewmi.deploy.report import DeployReport
-from skewmi.deploy.robot.description import SCENE_REQUEST, EndpointDescription, limit_values
-from skewmi.deploy.robot.process import sim_endpoint_process
+from skewmi.deploy.robot.description import SCENE_REQUEST, RobotDescription, limit_values
+from skewmi.deploy.robot.process import simulated_robot_process
 from skewmi.deploy.session.preflight import planning_limits
-from skewmi.deploy.session.session import Daemon
+from skewmi.deploy.session.session import Session
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.transport import Link, TransportConfig
 from skewmi.errors import LayoutMismatchError, TransportError
@@ -34,7 +34,7 @@ def run_deploy(
     stop: threading.Event | None = None,
     on_event: Callable[[str], None] | None = None,
 ) -> DeployReport:
-    """Run episodes of a policy on a robot endpoint.
+    """Run episodes of a policy on a robot server.
 
     Args:
         policy: An ONNX policy, or anything else that acts on observations of its layout.
@@ -47,9 +47,9 @@ def run_deploy(
 
     Raises:
         NotFoundError: No such limit profile.
-        TransportError: No endpoint answers, or the simulated one does not start.
-        LayoutMismatchError: The endpoint is not what the policy was made for.
-        ConfigurationError: Limits or pace of the endpoint differ.
+        TransportError: No robot server answers, or the simulated one does not start.
+        LayoutMismatchError: The robot server is not what the policy was made for.
+        ConfigurationError: Limits or pace of the robot server differ.
     """
     stop = threading.Event() if stop is None else stop
     tell = (lambda text: None) if on_event is None else on_event
@@ -68,23 +68,23 @@ def run_deploy(
         velocity_share=options.speed,
         planned_episodes=options.episodes,
     )
-    endpoint: AbstractContextManager[str | None]
+    server: AbstractContextManager[str | None]
     if options.connect is not None or options.zenoh_config is not None:
-        endpoint = nullcontext(options.connect)
+        server = nullcontext(options.connect)
     else:
         tell("starting the simulated robot in its own process")
-        endpoint = sim_endpoint_process(
+        server = simulated_robot_process(
             policy.layout.task, profile.name, lock_step=options.lock_step, twin=options.twin
         )
-    with endpoint as locator:
+    with server as locator:
         config = TransportConfig.for_client(
             locator, lock_step=options.lock_step, zenoh_config=options.zenoh_config
         )
         with Link.open(config, NODE_NAME) as link:
-            link.wait_for_endpoint(5.0)
-            daemon = Daemon(policy, options, link, report, stop, tell)
+            link.wait_for_robot(5.0)
+            session = Session(policy, options, link, report, stop, tell)
             with _beside(options, policy, link, config, report):
-                daemon.run()
+                session.run()
     return report
 
 
@@ -106,7 +106,7 @@ def _beside(
         _live_view(options, metadata, client, report),
         _recording(options, metadata, client, report),
     ):
-        # They have subscribed at the endpoint. Once it answers, our publishers know, too, and
+        # They have subscribed at the robot server. Once it answers, our publishers know, too, and
         # the first messages are not lost.
         link.call(topics.YUMI_DESCRIBE, 5.0)
         yield
@@ -116,7 +116,7 @@ def _metadata(options: DeployOptions, policy: Policy, link: Link) -> dict[str, s
     """What the run is about."""
     limits = planning_limits(options.limits, options.speed)
     reply = link.call(topics.YUMI_DESCRIBE, 5.0, SCENE_REQUEST)
-    description = EndpointDescription.from_json(reply.message)
+    description = RobotDescription.from_json(reply.message)
     return run_metadata(
         layout_json=policy.layout.to_json(),
         limits=limit_values(limits),

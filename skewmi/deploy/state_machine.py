@@ -1,6 +1,6 @@
 """State machines as complete tables: every state answers every event, and says why it moved.
 
-The tables of the daemon (`daemon.states`) and of the robot endpoint (`endpoint.states`) are plain
+The tables of the session (`session.states`) and of the robot server (`robot.states`) are plain
 data. `docs/deploy-states.md` shows them, and a test keeps page and tables equal.
 """
 
@@ -21,8 +21,8 @@ E = TypeVar("E", bound=Enum)
 class Transition(Generic[S]):
     """One change of state.
 
-    `stamp_ns` is the time of the machine's owner: the endpoint's clock for the endpoint, and the
-    newest endpoint stamp the daemon has seen for the daemon.
+    `stamp_ns` is the time of the machine's owner: the server's clock for the server, and the
+    newest robot server stamp the session has seen for the session.
     """
 
     stamp_ns: int

@@ -21,7 +21,7 @@ from cryptography.x509.verification import PolicyBuilder, Store, VerificationErr
 
 from skewmi.cli.main import main
 
-ROLES = ("endpoint", "commander", "observer")
+ROLES = ("robot", "commander", "observer")
 FILES = {"authority.pem", "certificate.pem", "key.pem", "zenoh.json5"}
 
 
@@ -51,14 +51,14 @@ def test_a_folder_for_each_role_that_is_complete(
         assert {path.name for path in (out / role).iterdir()} == FILES
     assert [path.name for path in out.parent.iterdir()] == ["link"], "drafts were left behind"
     # The authority's key is nowhere: each of the three keys is that of its own certificate.
-    authority = certificate(out / "endpoint/authority.pem")
+    authority = certificate(out / "robot/authority.pem")
     for role in ROLES:
         key = load_pem_private_key((out / role / "key.pem").read_bytes(), None)
         assert isinstance(key, ec.EllipticCurvePrivateKey)
         assert key.public_key() == certificate(out / role / "certificate.pem").public_key()
         assert key.public_key() != authority.public_key()
         assert (out / role / "authority.pem").read_bytes() == (
-            out / "endpoint/authority.pem"
+            out / "robot/authority.pem"
         ).read_bytes()
 
 
@@ -79,11 +79,11 @@ def test_private_keys_are_their_owners_alone_whatever_the_umask(tmp_path: Path) 
 def test_certificates_verify_for_their_own_purpose_only(tmp_path: Path) -> None:
     assert make(tmp_path) == 0
     leaves = {role: certificate(tmp_path / role / "certificate.pem") for role in ROLES}
-    builder = PolicyBuilder().store(Store([certificate(tmp_path / "endpoint/authority.pem")]))
+    builder = PolicyBuilder().store(Store([certificate(tmp_path / "robot/authority.pem")]))
     for host in (x509.DNSName("robot.lab"), x509.IPAddress(ipaddress.ip_address("10.0.0.7"))):
-        builder.build_server_verifier(host).verify(leaves["endpoint"], [])
+        builder.build_server_verifier(host).verify(leaves["robot"], [])
     with pytest.raises(VerificationError):
-        builder.build_server_verifier(x509.DNSName("other.lab")).verify(leaves["endpoint"], [])
+        builder.build_server_verifier(x509.DNSName("other.lab")).verify(leaves["robot"], [])
     for role in ("commander", "observer"):
         with pytest.raises(VerificationError):
             builder.build_server_verifier(x509.DNSName("robot.lab")).verify(leaves[role], [])
@@ -107,7 +107,7 @@ def test_existing_keys_are_replaced_only_when_asked(
     assert second.keys() == first.keys()
     assert all(second[name] != first[name] for name in first)
     # Somebody else's file is in the way: it is not deleted, asked for or not.
-    (out / "endpoint" / "notes.txt").write_text("mine")
+    (out / "robot" / "notes.txt").write_text("mine")
     third = content(out)
     assert make(out, "--overwrite") == 2
     assert content(out) == third
@@ -214,7 +214,7 @@ def test_rules_name_the_very_certificates(tmp_path: Path) -> None:
             names[issue, role] = str(name.value)
     assert len(set(names.values())) == 6, "an earlier issue's names must mean nothing now"
     for issue in ("a", "b"):
-        text = (tmp_path / issue / "endpoint" / "zenoh.json5").read_text()
+        text = (tmp_path / issue / "robot" / "zenoh.json5").read_text()
         assert set(re.findall(r"skewmi-\w+-[0-9a-f]+", text)) == {
             names[issue, "commander"],
             names[issue, "observer"],

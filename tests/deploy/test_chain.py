@@ -21,8 +21,8 @@ from skewmi.cli.main import main
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.recording.reader import read_recording
 from skewmi.deploy.recording.recorder import Recorder
-from skewmi.deploy.robot.description import EndpointDescription
-from skewmi.deploy.robot.process import free_port, sim_endpoint_process
+from skewmi.deploy.robot.description import RobotDescription
+from skewmi.deploy.robot.process import free_port, simulated_robot_process
 from skewmi.deploy.run import run_deploy
 from skewmi.deploy.safety.limits import ChunkChecker
 from skewmi.deploy.wire import topics
@@ -63,18 +63,18 @@ class Scripted(ScriptedOpenPressClose):
 
 @pytest.fixture(scope="module")
 def lock_step_robot() -> Iterator[str]:
-    with sim_endpoint_process("open_press_close", "lab", lock_step=True) as locator:
+    with simulated_robot_process("open_press_close", "lab", lock_step=True) as locator:
         yield locator
 
 
 @pytest.fixture(scope="module")
 def robot() -> Iterator[str]:
-    with sim_endpoint_process("open_press_close", "lab", lock_step=False) as locator:
+    with simulated_robot_process("open_press_close", "lab", lock_step=False) as locator:
         yield locator
 
 
 def chunks_of(path: Path) -> list[TrajectoryChunk]:
-    """Every chunk that was sent and that the endpoint did not refuse."""
+    """Every chunk that was sent and that the robot server did not refuse."""
     recording = read_recording(path)
     messages = recording.messages[topics.YUMI_TRAJECTORY.name]
     assert [m.sequence for m in messages] == list(
@@ -147,9 +147,9 @@ def assert_limits_kept(path: Path) -> dict[str, float]:
     return worst
 
 
-def describe(locator: str) -> EndpointDescription:
+def describe(locator: str) -> RobotDescription:
     with Link.open(TransportConfig.for_client(locator), f"test_{time.monotonic_ns()}") as link:
-        return EndpointDescription.from_json(link.call(topics.YUMI_DESCRIBE, 5.0).message)
+        return RobotDescription.from_json(link.call(topics.YUMI_DESCRIBE, 5.0).message)
 
 
 def test_scripted_motion_solves_the_task_within_all_limits(
@@ -164,7 +164,7 @@ def test_scripted_motion_solves_the_task_within_all_limits(
     assert report.missed_cycles == 0
     assert report.stops == []
     worst = assert_limits_kept(path)
-    # What the daemon reports is what the messages say (it counts unused braking tails, too).
+    # What the session reports is what the messages say (it counts unused braking tails, too).
     assert worst["velocity"] <= report.usage.velocity + 1e-6
     assert worst["velocity"] > 0.2, "the arm hardly moved: the check above shows nothing"
     assert report.usage.jerk <= 1.0 + 1e-6
@@ -177,8 +177,8 @@ def test_scripted_motion_solves_the_task_within_all_limits(
     assert abs(lid[-1]) < 0.035
     assert button[-1] > 0.010
     statuses = [decode_status(m.payload) for m in recording.messages["/yumi/status"]]
-    daemon = [s.values["state"] for s in statuses if s.name == "skewmi_deploy"]
-    assert daemon[:4] == ["to start", "running", "success", "holding"]
+    session = [s.values["state"] for s in statuses if s.name == "skewmi_deploy"]
+    assert session[:4] == ["to start", "running", "success", "holding"]
 
 
 def test_lock_step_runs_are_repeatable(lock_step_robot: str, tmp_path: Path) -> None:
@@ -232,11 +232,11 @@ def test_pace_and_layout_must_agree(lock_step_robot: str) -> None:
 
 def test_nobody_there_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     nobody = f"tcp/127.0.0.1:{free_port()}"
-    with pytest.raises(TransportError, match="no robot endpoint answers"):
+    with pytest.raises(TransportError, match="no robot server answers"):
         run_deploy(Scripted(), DeployOptions(connect=nobody))
     assert main(["stop", "--connect", nobody]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert "no robot endpoint answers" in line
+    assert "no robot server answers" in line
 
 
 def test_port_in_use_is_one_line(robot: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -292,10 +292,10 @@ run_deploy(ScriptedOpenPressClose(make_layout()), DeployOptions(connect=sys.argv
 """
 
 
-def test_killed_daemon_leaves_the_arm_at_rest_within_limits(robot: str, tmp_path: Path) -> None:
+def test_killed_session_leaves_the_arm_at_rest_within_limits(robot: str, tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     with Recorder(path, TransportConfig.for_client(robot)) as recorder:
-        daemon = subprocess.Popen(
+        session = subprocess.Popen(
             [sys.executable, "-c", DOOMED, robot, str(SUPPORT)], stdout=subprocess.PIPE
         )
         with Link.open(TransportConfig.for_client(robot), "watcher") as link:
@@ -309,12 +309,12 @@ def test_killed_daemon_leaves_the_arm_at_rest_within_limits(robot: str, tmp_path
                 speed = float(np.abs(moving.velocity[:7]).max())
                 if speed > 0.05 and not began:
                     began = time.monotonic()
-            os.kill(daemon.pid, signal.SIGKILL)
-            daemon.wait()
+            os.kill(session.pid, signal.SIGKILL)
+            session.wait()
             time.sleep(0.6)
             resting = decode_joint_states(states.wait(5.0).payload)
         assert np.abs(resting.velocity[:7]).max() < 0.01
-        # Another daemon may take over once the lease of the dead one has run out.
+        # Another session may take over once the lease of the dead one has run out.
         deadline = time.monotonic() + 5.0
         while describe(robot).state != "disarmed":
             assert time.monotonic() < deadline
@@ -328,17 +328,17 @@ def test_killed_daemon_leaves_the_arm_at_rest_within_limits(robot: str, tmp_path
     assert ends[-1].stamp_ns == last.stamp_ns + last.time_from_start_ns[-1]
 
 
-def test_silent_endpoint_stops_the_run_as_stale(tmp_path: Path) -> None:
+def test_silent_robot_server_stops_the_run_as_stale(tmp_path: Path) -> None:
     locator = f"tcp/127.0.0.1:{free_port()}"
     command = [sys.executable, "-m", "skewmi.cli.main", "robot", "--listen", locator, "--json"]
-    endpoint = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    server = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
     try:
-        assert endpoint.stdout is not None
-        endpoint.stdout.readline()
+        assert server.stdout is not None
+        server.stdout.readline()
 
         def suspend(action: Array) -> Array:
-            endpoint.send_signal(signal.SIGSTOP)
-            threading.Timer(0.5, lambda: endpoint.send_signal(signal.SIGCONT)).start()
+            server.send_signal(signal.SIGSTOP)
+            threading.Timer(0.5, lambda: server.send_signal(signal.SIGCONT)).start()
             return action
 
         path = tmp_path / "run.mcap"
@@ -349,14 +349,14 @@ def test_silent_endpoint_stops_the_run_as_stale(tmp_path: Path) -> None:
         assert "no new joint state" in episode.reason
         assert describe(locator).state == "disarmed"
         assert_limits_kept(path)
-        endpoint.send_signal(signal.SIGTERM)
-        assert endpoint.wait(10.0) == 0
+        server.send_signal(signal.SIGTERM)
+        assert server.wait(10.0) == 0
     finally:
-        endpoint.kill()
-        endpoint.wait()
+        server.kill()
+        server.wait()
 
 
-def test_second_daemon_is_refused_and_the_first_goes_on(robot: str) -> None:
+def test_second_session_is_refused_and_the_first_goes_on(robot: str) -> None:
     reports = {}
 
     def second() -> None:

@@ -109,7 +109,7 @@ def eventually(condition: Callable[[], Any], timeout_s: float = 10.0) -> Any:
 
 
 def trajectory(
-    endpoint: Message, change: np.ndarray, duration_s: float = 1.0, ahead_ns: int = 400_000_000
+    server: Message, change: np.ndarray, duration_s: float = 1.0, ahead_ns: int = 400_000_000
 ) -> Message:
     """A JointTrajectory from where the arm rests to rest `change` rad away.
 
@@ -121,7 +121,7 @@ def trajectory(
     position = t**3 * (10.0 - 15.0 * t + 6.0 * t * t)
     velocity = 30.0 * t * t * (1.0 - t) ** 2 / duration_s
     acceleration = 60.0 * t * (1.0 - t) * (1.0 - 2.0 * t) / duration_s**2
-    q = np.array(endpoint["commanded_position"]) + position * change
+    q = np.array(server["commanded_position"]) + position * change
     v, a = velocity * change, acceleration * change
     points = [
         {
@@ -134,8 +134,8 @@ def trajectory(
         for k in range(n + 1)
     ]
     return {
-        "header": header(endpoint["clock_ns"] + ahead_ns),
-        "joint_names": list(endpoint["joint_names"]),
+        "header": header(server["clock_ns"] + ahead_ns),
+        "joint_names": list(server["joint_names"]),
         "points": points,
     }
 

@@ -35,7 +35,7 @@ class SecuredLink:
 
     Args:
         directory: Where the folders go; must exist.
-        host: Where the endpoint listens.
+        host: Where the robot server listens.
         port: TCP port; None for one that is free.
     """
 

@@ -62,7 +62,7 @@ class Input:
         threading.Thread(target=self._read, daemon=True).start()
 
     def transport(self) -> TransportConfig:
-        """How to reach the endpoint, from the task."""
+        """How to reach the robot server, from the task."""
         options = dict(self.task["config"])
         for name in ("connect", "listen"):
             options[name] = tuple(options[name])
@@ -100,7 +100,7 @@ def listen(
     counts = Counts()
     # Unread samples pile up here in memory, never in Zenoh, where they would slow others.
     readers = [(topic, link.subscribe(topic, depth=None)) for topic in TOPICS]
-    # What travels on a link keeps its order: once the endpoint has answered, it knows what we
+    # What travels on a link keeps its order: once the robot server has answered, it knows what we
     # subscribe to. Not everything that publishes serves descriptions.
     with contextlib.suppress(TransportError):
         link.call(YUMI_DESCRIBE, _ANSWER_S)

@@ -1,6 +1,6 @@
 """Our side of a process that listens to a link: starts it, feeds it lines, waits for its end.
 
-It is one more subscriber. It costs daemon and endpoint nothing but the sending of what they send
+It is one more subscriber. It costs session and server nothing but the sending of what they send
 anyway; its interpreter lock, garbage collector, disk and screen cannot hold them up. It outlives
 whoever started it: if that is killed, its end of a pipe closes, and the listener finishes.
 """
@@ -31,7 +31,7 @@ class ListenerProcess:
 
     Args:
         module: What to run, as `python -m`.
-        config: How to reach the endpoint; only its locators, file and domain matter.
+        config: How to reach the robot server; only its locators, file and domain matter.
         task: What the listener is told first.
 
     Raises:
@@ -46,11 +46,11 @@ class ListenerProcess:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._words,
-            # A session of its own, so that Ctrl-C reaches the daemon only.
+            # A session of its own, so that Ctrl-C reaches the session only.
             start_new_session=True,
         )
         # A listener connects even if its owner listens.
-        client = replace(config, connect=config.connect or config.listen, listen=(), endpoint=False)
+        client = replace(config, connect=config.connect or config.listen, listen=(), server=False)
         self.write({**task, "config": _config_json(client)})
         assert self.process.stdout is not None
         ready, _, _ = select.select([self.process.stdout], [], [], _START_TIMEOUT_S)

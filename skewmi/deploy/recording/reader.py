@@ -83,7 +83,7 @@ def run_metadata(
         layout_json: `PolicyLayout.to_json()`.
         limits: Per joint, chain order: position_lower, position_upper, velocity, ...
         scene: `SceneGeometry.to_json()`.
-        others: Anything worth keeping: policy file, its sha256, endpoint description, seed.
+        others: Anything worth keeping: policy file, its sha256, robot server description, seed.
     """
     metadata = dict(others)
     if layout_json is not None:

@@ -52,7 +52,7 @@ class Recorder:
 
         Args:
             path: File to write, usually ending in .mcap.
-            config: How to reach the endpoint; only its locators, file and domain matter.
+            config: How to reach the robot server; only its locators, file and domain matter.
             metadata: What the run is about; see `recording.run_metadata`.
             overwrite: Replace an existing file.
 

@@ -1,6 +1,6 @@
 """Boxes and joints of a scene as plain data, so that a recording can be drawn without it.
 
-An endpoint that knows its scene describes it; the recorder keeps the description; replay draws
+A robot server that knows its scene describes it; the recorder keeps the description; replay draws
 the boxes and moves them by the recorded scene joints.
 """
 

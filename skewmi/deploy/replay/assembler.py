@@ -196,7 +196,7 @@ class RunAssembler:
         return error
 
     def _events(self, origin_ns: int) -> tuple[tuple[float, Status], ...]:
-        # A daemon that has not heard the endpoint's clock yet stamps zero: years before.
+        # A session that has not heard the robot server's clock yet stamps zero: years before.
         return tuple(
             (max(0.0, (status.stamp_ns - origin_ns) / NS_PER_S), status)
             for status in self._statuses

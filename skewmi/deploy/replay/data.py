@@ -1,4 +1,4 @@
-"""What a run shows, as arrays on one time axis: seconds of the endpoint's clock.
+"""What a run shows, as arrays on one time axis: seconds of the robot server's clock.
 
 A recording is one stretch of a run, a live view many short ones; both are drawn from `Run`.
 """

@@ -32,7 +32,7 @@ class LiveView:
 
     Args:
         options: Where to show it.
-        config: How to reach the endpoint.
+        config: How to reach the robot server.
         metadata: What the run is about; see `reader.run_metadata`.
         title: What to call it.
 

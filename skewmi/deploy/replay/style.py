@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 TIMELINE = "robot_time"
-"""Seconds of the endpoint's clock since the recording's first stamp."""
+"""Seconds of the robot server's clock since the recording's first stamp."""
 
 COMMANDED = (255, 140, 30, 255)
 MEASURED = (60, 160, 255, 255)

@@ -1,4 +1,4 @@
-"""What every robot endpoint has in common: the contract of a backend."""
+"""What every robot server has in common: the contract of a backend."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from skewmi.errors import SkewmiError
 from skewmi.policy_io import Array
 
 GRID_NS = 4_000_000
-"""The endpoint's grid: one joint target every 4 ms, as the controller's EGM asks for them."""
+"""The robot server's grid: one joint target every 4 ms, as the controller's EGM asks for them."""
 
 STATE_PERIOD_TICKS = 5
-"""Joint and scene states are published every 5 ticks, 20 ms: the daemon's planner cycle."""
+"""Joint and scene states are published every 5 ticks, 20 ms: the session's planner cycle."""
 
 _CLOCK_STARTS_S = (1 << 28, 1 << 30)
 """Range of the clock's start, s: it fits a ROS time stamp for decades to come."""
 
 
 class BackendFaultError(SkewmiError):
-    """The robot itself cannot go on; the endpoint goes to fault with this reason."""
+    """The robot itself cannot go on; the robot server goes to fault with this reason."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Measurement:
 
 
 class RobotBackend(Protocol):
-    """A robot that follows one joint target every 4 ms. Used by the endpoint's loop alone."""
+    """A robot that follows one joint target every 4 ms. Used by the robot server's loop alone."""
 
     name: str
     """What `describe` tells: `sim`, ..."""
@@ -92,9 +92,9 @@ class RobotBackend(Protocol):
 
 
 def fresh_tick() -> int:
-    """A tick for an endpoint's clock to start from, on a full second.
+    """A tick for a robot server's clock to start from, on a full second.
 
-    Drawn at random, so that what was recorded from one run of an endpoint (a bag that somebody
+    Drawn at random, so that what was recorded from one run of a robot server (a bag that somebody
     plays, a captured message) is never due in another: its stamps are years away. The time of
     day would not do, because robots without a clock battery start again at the same time.
     """

@@ -1,4 +1,4 @@
-"""The endpoint without its wires: what happens at each tick and at each request.
+"""The robot server without its wires: what happens at each tick and at each request.
 
 Knows neither Zenoh nor wall clocks, so that every refusal and transition can be tested with
 plain values; `server` connects it. Everything is called from one thread, the server's loop.
@@ -20,9 +20,9 @@ from skewmi.deploy.robot.executor import PlanExecutor
 from skewmi.deploy.robot.refusals import NOTED_REFUSALS, Refusal, printable
 from skewmi.deploy.robot.states import (
     ACCEPTS_COMMANDS,
-    ENDPOINT_TABLE,
-    EndpointEvent,
-    EndpointState,
+    SERVER_TABLE,
+    ServerEvent,
+    ServerState,
 )
 from skewmi.deploy.safety.lease import CommanderLease
 from skewmi.deploy.safety.validation import (
@@ -40,10 +40,10 @@ LEASE_NS = 2_000_000_000
 """A commander that is silent for longer than this loses the arm."""
 
 TRACKING_LIMIT = 0.35
-"""Largest |measured - commanded| of a joint, rad, before the endpoint calls it a fault."""
+"""Largest |measured - commanded| of a joint, rad, before the robot server calls it a fault."""
 
 
-class EndpointController:
+class RobotController:
     """State machine, plan, lease and backend of one arm.
 
     Args:
@@ -59,7 +59,7 @@ class EndpointController:
         self,
         backend: RobotBackend,
         validator: ChunkValidator,
-        on_transition: Callable[[Transition[EndpointState]], None] | None = None,
+        on_transition: Callable[[Transition[ServerState]], None] | None = None,
         *,
         lease_ns: int = LEASE_NS,
         tracking_limit: float = TRACKING_LIMIT,
@@ -68,7 +68,7 @@ class EndpointController:
         self._backend = backend
         self._validator = validator
         self._tracking_limit = tracking_limit
-        self.machine = StateMachine(ENDPOINT_TABLE, on_transition)
+        self.machine = StateMachine(SERVER_TABLE, on_transition)
         self.lease = CommanderLease(lease_ns)
         self.tick_index = first_tick
         """The tick that is due next."""
@@ -85,7 +85,7 @@ class EndpointController:
         episodes must not take the arm again as if nothing had been said."""
 
     @property
-    def state(self) -> EndpointState:
+    def state(self) -> ServerState:
         return self.machine.state
 
     @property
@@ -143,7 +143,7 @@ class EndpointController:
     def _check_state(self) -> None:
         if self.state not in ACCEPTS_COMMANDS:
             raise CommandRefusedError(
-                f"the endpoint is {self.state.value} ({self.machine.reason}); arm it first"
+                f"the robot server is {self.state.value} ({self.machine.reason}); arm it first"
             )
 
     def _accept(self, chunk: TrajectoryChunk, gid: bytes, sequence: int, now_ns: int) -> None:
@@ -156,7 +156,7 @@ class EndpointController:
         self.plan.splice(tick, chunk.q, chunk.v, chunk.a, self.tick_index)
         self.newest_tick = tick
         self.lease.renew(gid, sequence, now_ns)
-        self._fire(EndpointEvent.CHUNK, f"chunk of {gid.hex()[:8]}")
+        self._fire(ServerEvent.CHUNK, f"chunk of {gid.hex()[:8]}")
 
     def step(self, now_ns: int) -> None:
         """Command the target of the tick that is due, and let one grid interval pass."""
@@ -166,11 +166,11 @@ class EndpointController:
             self._backend.step(target)
             self._check_tracking(target.q)
         except BackendFaultError as fault:
-            self._fire(EndpointEvent.FAULT, str(fault))
+            self._fire(ServerEvent.FAULT, str(fault))
         self.tick_index += 1
         if self.plan.at_rest(self.tick_index):
-            self._fire(EndpointEvent.AT_REST, "the plan has ended")
-            if self.state is EndpointState.DISARMED:
+            self._fire(ServerEvent.AT_REST, "the plan has ended")
+            if self.state is ServerState.DISARMED:
                 self.lease.close()
 
     def _check_tracking(self, commanded: Array) -> None:
@@ -191,7 +191,7 @@ class EndpointController:
         if self.lease.expired(now_ns):
             seconds = self.lease.timeout_ns / 1e9
             self._drop_what_has_not_begun()
-            self._fire(EndpointEvent.COMMANDER_LOST, f"no command for {seconds:g} s")
+            self._fire(ServerEvent.COMMANDER_LOST, f"no command for {seconds:g} s")
             self._settle()
 
     def arm(self, gids: bytes, now_ns: int) -> None:
@@ -206,9 +206,9 @@ class EndpointController:
             CommandRefusedError: Somebody else commands, or the state does not allow it.
         """
         self.check_lease(now_ns)
-        if self.state in (EndpointState.STOPPING, EndpointState.FAULT):
+        if self.state in (ServerState.STOPPING, ServerState.FAULT):
             raise CommandRefusedError(
-                f"the endpoint is {self.state.value} ({self.machine.reason}); "
+                f"the robot server is {self.state.value} ({self.machine.reason}); "
                 "stop it first (skewmi stop acknowledges a fault)"
             )
         gid, gripper = gids[:16], gids[16:32]
@@ -221,7 +221,7 @@ class EndpointController:
         self.refused_of_commander = 0
         self.lease.holder, self.lease.gripper_holder = gid or None, gripper or None
         # The arm may have sagged or been pushed while disarmed: hold where it is commanded.
-        self._fire(EndpointEvent.ARM, f"armed by {gid.hex()[:8] or 'a service call'}")
+        self._fire(ServerEvent.ARM, f"armed by {gid.hex()[:8] or 'a service call'}")
 
     def stop(self, who: str) -> None:
         """Brake along the accepted plan's tail, then disarm; at rest, acknowledge a fault.
@@ -233,7 +233,7 @@ class EndpointController:
             CommandRefusedError: In fault, and the arm has not come to rest yet.
         """
         self.stops += 1
-        if self.state is EndpointState.FAULT:
+        if self.state is ServerState.FAULT:
             if not self.plan.at_rest(self.tick_index):
                 raise CommandRefusedError(
                     f"in fault ({self.machine.reason}), and the arm has yet to come to rest: stop "
@@ -242,13 +242,13 @@ class EndpointController:
             # The arm may be far from its command: hold it where it is, do not jerk it back.
             self.plan.rest_at(self._backend.arm_position(), self.tick_index)
         self._drop_what_has_not_begun()
-        self._fire(EndpointEvent.STOP, f"stop asked for by {printable(who)}")
+        self._fire(ServerEvent.STOP, f"stop asked for by {printable(who)}")
         self._settle()
 
     def _settle(self) -> None:
-        if self.state is EndpointState.STOPPING and self.plan.at_rest(self.tick_index):
-            self._fire(EndpointEvent.AT_REST, "the plan has ended")
-        if self.state is EndpointState.DISARMED:
+        if self.state is ServerState.STOPPING and self.plan.at_rest(self.tick_index):
+            self._fire(ServerEvent.AT_REST, "the plan has ended")
+        if self.state is ServerState.DISARMED:
             self.lease.close()
 
     def _drop_what_has_not_begun(self) -> None:
@@ -278,7 +278,7 @@ class EndpointController:
                 "arm (skewmi stop)"
             )
         self._drop_what_has_not_begun()
-        self._fire(EndpointEvent.DISARM, f"disarmed by its commander {gid.hex()[:8]}")
+        self._fire(ServerEvent.DISARM, f"disarmed by its commander {gid.hex()[:8]}")
         self._settle()
 
     def reset_scene(self, seed: int) -> None:
@@ -326,5 +326,5 @@ class EndpointController:
         self._backend.open_gripper(opening)
         self.lease.renew_gripper(gid, sequence)
 
-    def _fire(self, event: EndpointEvent, reason: str) -> None:
+    def _fire(self, event: ServerEvent, reason: str) -> None:
         self.machine.fire(event, reason, self.clock_ns)

@@ -1,4 +1,4 @@
-"""What an endpoint says about itself on `/yumi/describe`."""
+"""What a robot server says about itself on `/yumi/describe`."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ SCENE_REQUEST = b"scene"
 
 
 @dataclass(frozen=True)
-class EndpointDescription:
-    """What an endpoint says about itself; the daemon compares it with what the policy needs."""
+class RobotDescription:
+    """What a robot server says about itself; the session compares it with what the policy needs."""
 
     backend: str
     task: str
@@ -31,12 +31,12 @@ class EndpointDescription:
     state: str
     reason: str
     clock_ns: int
-    """The endpoint's clock: when the next sample is due."""
+    """The robot server's clock: when the next sample is due."""
     joint_names: tuple[str, ...]
     commanded_position: tuple[float, ...]
     """Where the plan ends, rad: the point a new commander's first chunk starts from."""
     stops: int
-    """How often somebody has asked to stop since the endpoint started."""
+    """How often somebody has asked to stop since the robot server started."""
     limits: Mapping[str, tuple[float, ...]]
     """The bounds of the limit profile per joint, so that both sides can compare them."""
     contact: Mapping[str, float] = field(default_factory=dict)
@@ -49,7 +49,7 @@ class EndpointDescription:
         return json.dumps(asdict(self), sort_keys=True)
 
     @staticmethod
-    def from_json(text: str) -> EndpointDescription:
+    def from_json(text: str) -> RobotDescription:
         """Inverse of `to_json`.
 
         Raises:
@@ -63,15 +63,15 @@ class EndpointDescription:
             content["stops"] = int(content["stops"])
             content["contact"] = {k: float(v) for k, v in content["contact"].items()}
             content["limits"] = {k: tuple(v) for k, v in content["limits"].items()}
-            return EndpointDescription(**content)
+            return RobotDescription(**content)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise TransportError(
-                f"the endpoint's description cannot be read ({error}); "
+                f"the robot server's description cannot be read ({error}); "
                 "is it of another version of skewmi?"
             ) from error
 
 
 def limit_values(limits: JointLimits) -> dict[str, tuple[float, ...]]:
-    """The bounds that daemon and endpoint compare, per joint, rad and s."""
+    """The bounds that session and robot server compare, per joint, rad and s."""
     names = ("position_lower", "position_upper", "velocity", "acceleration", "jerk")
     return {name: tuple(map(float, getattr(limits, name))) for name in names}

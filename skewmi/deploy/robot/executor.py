@@ -1,4 +1,4 @@
-"""Which joint target is due at which tick: the endpoint's plan on its own 4 ms grid."""
+"""Which joint target is due at which tick: the robot server's plan on its own 4 ms grid."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A simulated robot endpoint as a child process, for runs that bring their own robot."""
+"""A simulated robot server as a child process, for runs that bring their own robot."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _END_TIMEOUT_S = 10.0
 
 
 @contextmanager
-def sim_endpoint_process(
+def simulated_robot_process(
     task: str, limits: str, *, lock_step: bool, twin: str | None = None
 ) -> Iterator[str]:
     """Run `skewmi robot --backend sim` on a free port until the block is left.

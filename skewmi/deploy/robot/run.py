@@ -1,4 +1,4 @@
-"""Put a simulated robot endpoint together and run it until it is told to end."""
+"""Put a simulated robot server together and run it until it is told to end."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 
 from skewmi.deploy.robot.backend import GRID_NS, fresh_tick
 from skewmi.deploy.robot.backends.mujoco.backend import SimTwin
-from skewmi.deploy.robot.controller import LEASE_NS, EndpointController
-from skewmi.deploy.robot.description import EndpointDescription
+from skewmi.deploy.robot.controller import LEASE_NS, RobotController
+from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.robot.executor import PlanPoint
-from skewmi.deploy.robot.server import EndpointServer, ServerOptions
+from skewmi.deploy.robot.server import RobotServer, ServerOptions
 from skewmi.deploy.safety.limits import WORKSPACE_TOLERANCE, ChunkChecker, Forward
 from skewmi.deploy.safety.validation import ChunkValidator, LimitCheck, ValidationRules
 from skewmi.deploy.wire.transport import Link, TransportConfig
@@ -31,7 +31,7 @@ LOCK_STEP_LEASE_NS = 20_000_000_000
 
 
 def limit_check(limits: JointLimits, workspace: Workspace) -> LimitCheck:
-    """The limits that the endpoint enforces: joints and hand speed always, the box from inside.
+    """The limits that the robot server enforces: joints and hand speed always, the box from inside.
 
     A motion that starts outside the box (on the way to the start pose) is only checked for joint
     limits and hand speed; once the arm is inside, it cannot leave. The room that the checker
@@ -75,8 +75,8 @@ class _SharedForward:
 
 
 @dataclass(frozen=True)
-class SimEndpointOptions:
-    """What a simulated endpoint is started with."""
+class SimulatedRobotOptions:
+    """What a simulated robot is started with."""
 
     limits: JointLimits
     task: str = "open_press_close"
@@ -87,11 +87,11 @@ class SimEndpointOptions:
     """Where the arm is at first, chain order, rad; the task's start if not given."""
 
 
-def run_sim_endpoint(
+def run_simulated_robot(
     config: TransportConfig,
-    options: SimEndpointOptions,
+    options: SimulatedRobotOptions,
     stop: threading.Event,
-    on_ready: Callable[[EndpointDescription], None] | None = None,
+    on_ready: Callable[[RobotDescription], None] | None = None,
 ) -> None:
     """Serve a simulated robot until `stop` is set.
 
@@ -114,13 +114,13 @@ def run_sim_endpoint(
         assert backend.layout.workspace is not None
         rules = ValidationRules(joint_names=backend.joint_names, grid_ns=GRID_NS)
         check = limit_check(options.limits, backend.layout.workspace)
-        controller = EndpointController(
+        controller = RobotController(
             backend,
             ChunkValidator(rules, check),
             lease_ns=LOCK_STEP_LEASE_NS if options.lock_step else LEASE_NS,
             first_tick=fresh_tick(),
         )
-        server = EndpointServer(
+        server = RobotServer(
             backend, controller, link, ServerOptions(options.limits, options.lock_step)
         )
         if on_ready is not None:

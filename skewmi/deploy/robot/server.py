@@ -1,4 +1,4 @@
-"""The endpoint on its wires: clock, topics and services around the controller.
+"""The robot server on its wires: clock, topics and services around the controller.
 
 Real time: the clock counts 4 ms ticks from a start that differs each time (`base.fresh_tick`),
 driven by the monotonic clock.
@@ -22,10 +22,10 @@ from skewmi.deploy.robot.backend import (
     STATE_PERIOD_TICKS,
     RobotBackend,
 )
-from skewmi.deploy.robot.controller import EndpointController
-from skewmi.deploy.robot.description import SCENE_REQUEST, EndpointDescription, limit_values
+from skewmi.deploy.robot.controller import RobotController
+from skewmi.deploy.robot.description import SCENE_REQUEST, RobotDescription, limit_values
 from skewmi.deploy.robot.refusals import Refusal
-from skewmi.deploy.robot.states import ACCEPTS_COMMANDS, EndpointState
+from skewmi.deploy.robot.states import ACCEPTS_COMMANDS, ServerState
 from skewmi.deploy.safety.validation import check_size
 from skewmi.deploy.state_machine import Transition
 from skewmi.deploy.wire import topics
@@ -49,7 +49,7 @@ from skewmi.robot_models.limits import JointLimits
 _log = logging.getLogger(__name__)
 
 STATUS_NAME = "skewmi_robot"
-"""Name of the endpoint's entry in the status messages."""
+"""Name of the robot server's entry in the status messages."""
 
 MAX_BACKLOG_NS = 20_000_000
 """A real-time clock that falls behind by more than this slips instead of rushing after it:
@@ -63,7 +63,7 @@ _SHOWN_REFUSALS = 3
 
 @dataclass(frozen=True)
 class ServerOptions:
-    """How an endpoint runs."""
+    """How a robot server runs."""
 
     limits: JointLimits
     lock_step: bool = False
@@ -71,7 +71,7 @@ class ServerOptions:
     """Joint and scene states are published every so many ticks."""
 
 
-class EndpointServer:
+class RobotServer:
     """Publishes states, feeds commands to the controller and answers services.
 
     Args:
@@ -84,7 +84,7 @@ class EndpointServer:
     def __init__(
         self,
         backend: RobotBackend,
-        controller: EndpointController,
+        controller: RobotController,
         link: Link,
         options: ServerOptions,
     ) -> None:
@@ -123,7 +123,7 @@ class EndpointServer:
         if stop.is_set():
             # In fault it is refused until the arm rests; this loop goes on until then.
             with suppress(CommandRefusedError):
-                self._controller.stop("the end of the endpoint")
+                self._controller.stop("the end of the robot server")
         return stop.is_set() and self._controller.plan.at_rest(self._controller.tick_index)
 
     def _run_real_time(self, stop: threading.Event) -> None:
@@ -206,21 +206,21 @@ class EndpointServer:
             self._next_status_ns = now_ns + _STATUS_PERIOD_NS
             self._publish_status(stamp_ns)
 
-    def _on_transition(self, transition: Transition[EndpointState]) -> None:
+    def _on_transition(self, transition: Transition[ServerState]) -> None:
         _log.info("%s", transition)
         self._publish_status(transition.stamp_ns, transition)
-        if transition.target is EndpointState.DISARMED and not self._options.lock_step:
+        if transition.target is ServerState.DISARMED and not self._options.lock_step:
             # The only moment at which nobody minds: inside the loop nothing is collected.
             gc.collect()
 
     def _publish_status(
-        self, stamp_ns: int, transition: Transition[EndpointState] | None = None
+        self, stamp_ns: int, transition: Transition[ServerState] | None = None
     ) -> None:
         controller = self._controller
         # The commander's own come first: they are what it has to answer for.
         refusals = sorted(controller.take_refusals(), key=lambda r: not r.of_commander)
         level = OK if controller.refused == 0 else WARN
-        if controller.state is EndpointState.FAULT:
+        if controller.state is ServerState.FAULT:
             level = ERROR
         values = {
             "state": controller.state.value,
@@ -243,11 +243,11 @@ class EndpointServer:
         description = self.describe(with_scene=request.extra == SCENE_REQUEST)
         return TriggerReply(True, description.to_json())
 
-    def describe(self, *, with_scene: bool = False) -> EndpointDescription:
-        """What this endpoint is and what state it is in."""
+    def describe(self, *, with_scene: bool = False) -> RobotDescription:
+        """What this robot server is and what state it is in."""
         controller, options, backend = self._controller, self._options, self._backend
         limits = options.limits
-        return EndpointDescription(
+        return RobotDescription(
             backend=backend.name,
             task=backend.task,
             layout_hashes=backend.layout_hashes,

@@ -1,4 +1,4 @@
-"""The endpoint's states: what a robot does with commands, and what makes it stop."""
+"""The robot server's states: what a robot does with commands, and what makes it stop."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from enum import Enum
 from skewmi.deploy.state_machine import TransitionTable
 
 
-class EndpointState(Enum):
+class ServerState(Enum):
     DISARMED = "disarmed"
     """At rest; every command is refused until somebody arms."""
     HOLDING = "holding"
@@ -20,7 +20,7 @@ class EndpointState(Enum):
     """The robot itself reported trouble; commands are refused until it is acknowledged."""
 
 
-class EndpointEvent(Enum):
+class ServerEvent(Enum):
     ARM = "arm"
     """Somebody asked to arm."""
     CHUNK = "chunk"
@@ -37,9 +37,9 @@ class EndpointEvent(Enum):
     """The backend cannot follow: physics, drives or tracking."""
 
 
-_S, _E = EndpointState, EndpointEvent
+_S, _E = ServerState, ServerEvent
 
-ENDPOINT_TABLE = TransitionTable(
+SERVER_TABLE = TransitionTable(
     _S.DISARMED,
     {
         (_S.DISARMED, _E.ARM): _S.HOLDING,

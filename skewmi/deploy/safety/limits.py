@@ -1,7 +1,7 @@
 """What a chunk of joint motion must satisfy, restated on its own.
 
-This module imports nothing of the planner and trusts nobody: the daemon uses it before a chunk is
-sent and the endpoint uses it again before a chunk is executed.
+This module imports nothing of the planner and trusts nobody: the session uses it before a chunk is
+sent and the robot server uses it again before a chunk is executed.
 
 A chunk is a list of samples (q, v, a) on a time grid of step h that ends at rest. Besides the
 bounds on every sample, the samples must be consistent: they must be samples of ONE motion whose
@@ -267,7 +267,7 @@ class ChunkChecker:
             raise LimitViolationError(
                 "joint position", float(q[k, worst]), float(bound), f"joint index {worst}"
             )
-        # All at once: this runs in every tick of the endpoint that brings a chunk.
+        # All at once: this runs in every tick of the robot server that brings a chunk.
         samples = np.array((q, v, a))
         first = np.diff(samples, axis=1) / h
         second = np.diff(first[:2], axis=1) / h

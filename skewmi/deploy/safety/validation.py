@@ -1,4 +1,4 @@
-"""What a chunk must satisfy before a robot follows it. The endpoint believes no sender.
+"""What a chunk must satisfy before a robot follows it. The robot server believes no sender.
 
 The checks go from cheap to dear; the first that fails refuses the whole chunk, the plan stays as
 it was, and the plan it has ends at rest. Every function here is pure.
@@ -18,7 +18,7 @@ from skewmi.policy_io import Array
 
 
 class BrokenStreamError(CommandRefusedError):
-    """A chunk came too late, or one before it is missing: sender and endpoint are out of step.
+    """A chunk came too late, or one before it is missing: sender and robot server are out of step.
 
     The commander may take up again from where the arm comes to rest.
     """
@@ -37,7 +37,7 @@ LimitViolationError."""
 
 @dataclass(frozen=True)
 class ValidationRules:
-    """What the endpoint demands of a chunk beyond the joint limits."""
+    """What the robot server demands of a chunk beyond the joint limits."""
 
     joint_names: tuple[str, ...]
     """The names that a chunk must have, in this order."""
@@ -71,7 +71,7 @@ class ChunkValidator:
 
         Args:
             chunk: As decoded from the wire.
-            plan: What the endpoint would do without it.
+            plan: What the robot server would do without it.
             now: The tick that is due next; tick k is due at k * grid_ns.
 
         Returns:
@@ -142,7 +142,7 @@ def check_time(chunk: TrajectoryChunk, rules: ValidationRules, now: int) -> int:
     """Tick of the first sample: on the grid, not over, not too far ahead.
 
     Raises:
-        CommandRefusedError: The stamp and the endpoint's clock.
+        CommandRefusedError: The stamp and the robot server's clock.
     """
     tick, off_grid = divmod(chunk.stamp_ns, rules.grid_ns)
     if off_grid:
@@ -151,11 +151,11 @@ def check_time(chunk: TrajectoryChunk, rules: ValidationRules, now: int) -> int:
         )
     if tick < now:
         late_ms = (now - tick) * rules.grid_ns * 1e-6
-        raise BrokenStreamError(f"stamp is {late_ms:g} ms in the past of the endpoint's clock")
+        raise BrokenStreamError(f"stamp is {late_ms:g} ms in the past of the robot server's clock")
     ahead_ns = (tick - now) * rules.grid_ns
     if ahead_ns > rules.max_ahead_ns:
         raise CommandRefusedError(
-            f"stamp is {ahead_ns * 1e-6:g} ms ahead of the endpoint's clock; "
+            f"stamp is {ahead_ns * 1e-6:g} ms ahead of the robot server's clock; "
             f"at most {rules.max_ahead_ns * 1e-6:g} ms are allowed"
         )
     return tick
@@ -165,7 +165,7 @@ def check_fresh(stamp_ns: int, clock_ns: int) -> None:
     """A command without a place in the plan must have been made just now.
 
     Args:
-        stamp_ns: Of the command, in the endpoint's clock.
+        stamp_ns: Of the command, in the robot server's clock.
         clock_ns: That clock now.
 
     Raises:
@@ -174,13 +174,13 @@ def check_fresh(stamp_ns: int, clock_ns: int) -> None:
     age_ns = clock_ns - stamp_ns
     if abs(age_ns) > MAX_COMMAND_AGE_NS:
         raise CommandRefusedError(
-            f"the command is {age_ns * 1e-9:.6g} s old by the endpoint's clock; "
+            f"the command is {age_ns * 1e-9:.6g} s old by the robot server's clock; "
             f"at most {MAX_COMMAND_AGE_NS * 1e-9:g} s are allowed"
         )
 
 
 def check_splice(chunk: TrajectoryChunk, present: PlanPoint, rules: ValidationRules) -> None:
-    """The first sample must be what the endpoint would command there anyway.
+    """The first sample must be what the robot server would command there anyway.
 
     Raises:
         CommandRefusedError: Quantity, joint and size of the step.
@@ -198,7 +198,7 @@ def check_splice(chunk: TrajectoryChunk, present: PlanPoint, rules: ValidationRu
         if step[joint] > tolerance:
             raise BrokenStreamError(
                 f"splice: {what} of {rules.joint_names[joint]} steps by {step[joint]:.3g} {unit} "
-                f"from the endpoint's plan (tolerance {tolerance:g})"
+                f"from the robot server's plan (tolerance {tolerance:g})"
             )
 
 

@@ -1,1 +1,1 @@
-"""What runs a policy on an endpoint, cycle by cycle."""
+"""What runs a policy on a robot server, cycle by cycle."""

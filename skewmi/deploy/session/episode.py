@@ -61,8 +61,8 @@ class EpisodeRunner:
         limits: That start motions keep.
         speed: 1 for the speed of training; less stretches every control step, to whole cycles.
         supervise: Called every cycle with the newest state; raises to stop, and
-            `LateChunkError` if the endpoint refused a chunk for being late.
-        resync: Waits until the arm rests; gives where the endpoint holds it and the newest state.
+            `LateChunkError` if the robot server refused a chunk for being late.
+        resync: Waits until the arm rests; gives where the server holds it and the newest state.
         publish_policy: Called with encoded observation and action after every control step, and
             with the observation that ended the episode, and None.
         publish_gripper: Called with an opening, m.
@@ -104,7 +104,7 @@ class EpisodeRunner:
         """Move in joint space and wait until the arm is there.
 
         Args:
-            q_commanded: Where the endpoint holds the arm, rad. Shape (7,).
+            q_commanded: Where the robot server holds the arm, rad. Shape (7,).
             q_goal: Where to go, rad. Shape (7,).
             state: Newest state.
 
@@ -164,7 +164,7 @@ class EpisodeRunner:
         """Let the policy command the hand until success or the end of the episode's time.
 
         Args:
-            q_start: Where the endpoint holds the arm, rad. Shape (7,).
+            q_start: Where the robot server holds the arm, rad. Shape (7,).
             state: Newest state.
 
         Raises:

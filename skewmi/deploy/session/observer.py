@@ -1,4 +1,4 @@
-"""What the daemon knows of the world: newest joint and scene states, and how old they are."""
+"""What the session knows of the world: newest joint and scene states, and how old they are."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MAX_JOINT_AGE_S = 0.100
 MAX_SCENE_AGE_S = 0.200
 """Scene states older than this stop the arm."""
 LOCK_STEP_PATIENCE_S = 30.0
-"""In lock-step nothing is ever old; an endpoint that says nothing for so long is gone."""
+"""In lock-step nothing is ever old; a robot server that says nothing for so long is gone."""
 
 SCENE_FIELDS = {"lid_hinge": "lid_angle", "button_slide": "button_depth"}
 """Name of a joint in the scene states -> observation field that it is."""
@@ -42,7 +42,7 @@ class ArmState:
     """One joint state message, taken apart.
 
     Attributes:
-        stamp_ns: The endpoint's clock when it was measured.
+        stamp_ns: The robot server's clock when it was measured.
         received_ns: Our monotonic clock when it arrived.
         q: Measured arm joints, chain order, rad. Shape (7,).
         v: Measured velocities, rad/s. Shape (7,).
@@ -65,8 +65,8 @@ class Observer:
         joint_names: The arm's joints in chain order.
         finger_name: The joint whose position is the gripper's opening.
         lock_step: Take every state in order, however old, instead of the newest.
-        state_period_s: How often the endpoint publishes, s.
-        on_repeat: Called when the endpoint repeats a state because in lock-step time stands
+        state_period_s: How often the robot server publishes, s.
+        on_repeat: Called when the robot server repeats a state because in lock-step time stands
             still: the place to find out why.
     """
 
@@ -247,7 +247,7 @@ class Observer:
         return self._order
 
     def _take_scene(self, stamp_ns: int) -> None:
-        """Take in the scene states up to a stamp; the endpoint sends them before the joints'."""
+        """Take in the scene states up to a stamp; the server sends them before the joints'."""
         for sample in self._scene.drain():
             self._scene_queue.append(decode_joint_states(sample.payload))
             self._scene_received_ns = sample.received_ns

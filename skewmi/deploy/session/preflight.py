@@ -1,4 +1,4 @@
-"""What must agree between policy, daemon and endpoint before the arm may move."""
+"""What must agree between policy, session and robot server before the arm may move."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from skewmi.deploy.motion.start_motion import StartMotion
-from skewmi.deploy.robot.description import EndpointDescription, limit_values
+from skewmi.deploy.robot.description import RobotDescription, limit_values
 from skewmi.deploy.safety.checks import ChunkChecks
 from skewmi.deploy.session.stream import CYCLE_NS, GRID_NS
 from skewmi.errors import ConfigurationError, LayoutMismatchError
@@ -31,49 +31,49 @@ def check_agreement(
     layout: PolicyLayout,
     robot_model_hash: str | None,
     limits: JointLimits,
-    endpoint: EndpointDescription,
+    server: RobotDescription,
 ) -> None:
-    """Refuse to run a policy on an endpoint that it was not made for.
+    """Refuse to run a policy on a robot server that it was not made for.
 
     Args:
         layout: Of the policy.
         robot_model_hash: Of the model that the policy was trained with; None if it tells none.
-        limits: That the daemon plans with.
-        endpoint: What the endpoint says about itself.
+        limits: That the session plans with.
+        robot server: What the robot server says about itself.
 
     Raises:
         LayoutMismatchError: Task, layout or robot model differ.
-        ConfigurationError: The daemon would plan beyond the endpoint's limits, or their grids
+        ConfigurationError: The session would plan beyond the robot server's limits, or their grids
             or joints differ.
     """
-    if layout.task != endpoint.task:
+    if layout.task != server.task:
         raise LayoutMismatchError(
-            f"the policy is for task {layout.task!r}, the endpoint has {endpoint.task!r}; "
+            f"the policy is for task {layout.task!r}, the robot server has {server.task!r}; "
             f"start one with `skewmi robot --task {layout.task}`"
         )
     if layout.workspace is None:
         raise LayoutMismatchError(f"task {layout.task!r} has no workspace: it needs no robot")
-    if layout.hash() not in endpoint.layout_hashes:
+    if layout.hash() not in server.layout_hashes:
         raise LayoutMismatchError(
-            f"the policy's layout {layout.hash()[:12]} is not one of the endpoint's "
-            f"({', '.join(h[:12] for h in endpoint.layout_hashes)}); it was exported with another "
+            f"the policy's layout {layout.hash()[:12]} is not one of the robot server's "
+            f"({', '.join(h[:12] for h in server.layout_hashes)}); it was exported with another "
             "version of the task: train or export it again"
         )
     ours = yumi.MODEL_HASH
-    for whose, model in (("policy", robot_model_hash), ("endpoint", endpoint.robot_model_hash)):
+    for whose, model in (("policy", robot_model_hash), ("robot server", server.robot_model_hash)):
         if model is not None and model != ours:
             raise LayoutMismatchError(
                 f"the {whose} uses robot model {model[:12]}, this skewmi has {ours[:12]}; "
                 "export the policy again with this version, or run both sides with one version"
             )
-    if endpoint.joint_names != yumi.joint_names("right"):
-        raise ConfigurationError(f"the endpoint has other joints: {endpoint.joint_names}")
-    if endpoint.grid_ns != GRID_NS or endpoint.state_period_ns != CYCLE_NS:
+    if server.joint_names != yumi.joint_names("right"):
+        raise ConfigurationError(f"the robot server has other joints: {server.joint_names}")
+    if server.grid_ns != GRID_NS or server.state_period_ns != CYCLE_NS:
         raise ConfigurationError(
-            f"the endpoint has a grid of {endpoint.grid_ns} ns and states every "
-            f"{endpoint.state_period_ns} ns; this daemon needs {GRID_NS} and {CYCLE_NS}"
+            f"the robot server has a grid of {server.grid_ns} ns and states every "
+            f"{server.state_period_ns} ns; this session needs {GRID_NS} and {CYCLE_NS}"
         )
-    _check_limits(limits, endpoint)
+    _check_limits(limits, server)
 
 
 def planning_limits(profile: str, speed: float) -> JointLimits:
@@ -165,15 +165,15 @@ def check_way(q: Array, q_goal: Array, limits: JointLimits, checks: ChunkChecks)
         guard(motion.q[part], motion.v[part], motion.a[part], (start, rest, rest), start[None])
 
 
-def _check_limits(limits: JointLimits, endpoint: EndpointDescription) -> None:
+def _check_limits(limits: JointLimits, server: RobotDescription) -> None:
     for name, values in limit_values(limits).items():
-        allowed = endpoint.limits.get(name, ())
+        allowed = server.limits.get(name, ())
         if len(allowed) != len(values):
-            raise ConfigurationError(f"the endpoint does not tell its limit on {name}")
+            raise ConfigurationError(f"the robot server does not tell its limit on {name}")
         for joint, (ours, theirs) in enumerate(zip(values, allowed, strict=True)):
             if ours < theirs if name == "position_lower" else ours > theirs:
                 raise ConfigurationError(
                     f"limit profile {limits.name!r} allows {name} {ours:.4g} in joint index "
-                    f"{joint}, the endpoint's {endpoint.limit_profile!r} only {theirs:.4g}; use "
-                    f"--limits {endpoint.limit_profile} or restart the endpoint"
+                    f"{joint}, the robot server's {server.limit_profile!r} only {theirs:.4g}; use "
+                    f"--limits {server.limit_profile} or restart the robot server"
                 )

@@ -1,4 +1,4 @@
-"""The daemon's view of the endpoint: services, status, and what its refusals mean."""
+"""The session's view of the robot server: services, status, and what its refusals mean."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import time
 
 import numpy as np
 
-from skewmi.deploy.robot.description import EndpointDescription
-from skewmi.deploy.robot.states import EndpointState
+from skewmi.deploy.robot.description import RobotDescription
+from skewmi.deploy.robot.states import ServerState
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.messages import (
     JointStates,
@@ -25,7 +25,7 @@ CALL_TIMEOUT_S = 5.0
 REST_TIMEOUT_S = 10.0
 ROBOT_STATUS_NAME = "skewmi_robot"
 
-_ENDING = (EndpointState.STOPPING.value, EndpointState.DISARMED.value)
+_ENDING = (ServerState.STOPPING.value, ServerState.DISARMED.value)
 
 
 class StopRequestedError(SkewmiError):
@@ -33,11 +33,11 @@ class StopRequestedError(SkewmiError):
 
 
 class LateChunkError(CommandRefusedError):
-    """The endpoint refused a chunk for coming too late or after a lost one; the arm brakes."""
+    """The robot server refused a chunk for coming too late or after a lost one; the arm brakes."""
 
 
 class RobotClient:
-    """Commands an endpoint, and watches what it says.
+    """Commands a robot server, and watches what it says.
 
     Args:
         link: An open session to it.
@@ -58,13 +58,13 @@ class RobotClient:
     def _gids(self) -> bytes:
         return self._commands.gid + self._gripper.gid
 
-    def describe(self) -> EndpointDescription:
-        """What the endpoint is and does now.
+    def describe(self) -> RobotDescription:
+        """What the robot server is and does now.
 
         Raises:
             TransportError: It does not answer, or not in our words.
         """
-        return EndpointDescription.from_json(self._call(topics.YUMI_DESCRIBE).message)
+        return RobotDescription.from_json(self._call(topics.YUMI_DESCRIBE).message)
 
     def reset_scene(self, seed: int) -> None:
         """Put a simulated scene and its arm back to the start of an episode."""
@@ -75,7 +75,7 @@ class RobotClient:
         """Become the commander.
 
         Raises:
-            CommandRefusedError: Somebody else is, or the endpoint is in fault.
+            CommandRefusedError: Somebody else is, or the robot server is in fault.
         """
         if not self._dry_run:
             self._call(topics.YUMI_ARM, self._gids)
@@ -96,7 +96,7 @@ class RobotClient:
             self._gripper.put(encode_joint_states(message))
 
     def check(self, *, late_is_final: bool) -> None:
-        """Look at what the endpoint has said since the last call.
+        """Look at what the robot server has said since the last call.
 
         Args:
             late_is_final: Treat a late chunk as any other refused one.
@@ -109,32 +109,32 @@ class RobotClient:
         """
         for status in self._news():
             says = status.values.get("state")
-            if says == EndpointState.FAULT.value:
-                raise TransportError(f"the endpoint is in {status.message}")
+            if says == ServerState.FAULT.value:
+                raise TransportError(f"the robot server is in {status.message}")
             if says in _ENDING:
-                raise StopRequestedError(f"the endpoint is {status.message}")
+                raise StopRequestedError(f"the robot server is {status.message}")
             if self._note_refusals(status):
                 refusal = status.values.get("refusal", "")
                 late = status.values.get("out_of_step") == "True" and not late_is_final
                 kind = LateChunkError if late else CommandRefusedError
-                raise kind(f"the endpoint refused a command: {refusal}")
+                raise kind(f"the robot server refused a command: {refusal}")
 
     def wait_for_hold(self) -> Array:
         """Wait, armed, until the tail has been followed to its end.
 
         Returns:
-            Where the endpoint holds the arm, rad. Shape (7,).
+            Where the robot server holds the arm, rad. Shape (7,).
 
         Raises:
             StopRequestedError: It was stopped meanwhile.
             TransportError: It does not come to rest, or is in fault.
         """
         deadline = time.monotonic() + REST_TIMEOUT_S
-        while (description := self.describe()).state != EndpointState.HOLDING.value:
-            if description.state == EndpointState.FAULT.value:
-                raise TransportError(f"the endpoint is in fault: {description.reason}")
-            if description.state != EndpointState.EXECUTING.value:
-                raise StopRequestedError(f"the endpoint is {description.state}")
+        while (description := self.describe()).state != ServerState.HOLDING.value:
+            if description.state == ServerState.FAULT.value:
+                raise TransportError(f"the robot server is in fault: {description.reason}")
+            if description.state != ServerState.EXECUTING.value:
+                raise StopRequestedError(f"the robot server is {description.state}")
             if time.monotonic() > deadline:
                 raise TransportError(f"the arm does not rest within {REST_TIMEOUT_S:g} s")
             time.sleep(0.02)
@@ -142,14 +142,14 @@ class RobotClient:
             self._note_refusals(status)
         return np.array(description.commanded_position)
 
-    def disarm(self) -> EndpointDescription | None:
+    def disarm(self) -> RobotDescription | None:
         """Give the arm back, and wait until the tail has been followed to its end.
 
-        Nobody else's run is ended by our failure: the endpoint does it for its commander alone. Nor
+        Nobody else's run is ended by our failure: the server does it for its commander alone. Nor
         is a fault acknowledged.
 
         Returns:
-            What the endpoint says then; None if it was never armed.
+            What the robot server says then; None if it was never armed.
 
         Raises:
             TransportError: It does not answer, or does not come to rest.
@@ -159,7 +159,7 @@ class RobotClient:
         deadline = time.monotonic() + REST_TIMEOUT_S
         # Refused if somebody else commands by now: then ours has come to rest before.
         self._link.call(topics.YUMI_DISARM, CALL_TIMEOUT_S, self._gids)
-        while (description := self.describe()).state == EndpointState.STOPPING.value:
+        while (description := self.describe()).state == ServerState.STOPPING.value:
             if time.monotonic() > deadline:
                 raise TransportError(f"the arm does not rest within {REST_TIMEOUT_S:g} s")
             time.sleep(0.005)
@@ -167,7 +167,7 @@ class RobotClient:
         return description
 
     def _news(self) -> list[Status]:
-        """What the endpoint has said, oldest first, since it first named us its commander.
+        """What the robot server has said, oldest first, since it first named us its commander.
 
         What it said before it was armed, such as that it is disarmed, may arrive after the
         answer to our arming.
@@ -186,7 +186,7 @@ class RobotClient:
         return status.values.get("commander") == self._commands.gid.hex()
 
     def _note_refusals(self, status: Status) -> bool:
-        """Whether the endpoint has refused more of ours than it had when last heard.
+        """Whether the robot server has refused more of ours than it had when last heard.
 
         What it refused of others, or before we armed, is none of our business: else anybody
         could stop us with a chunk of his own.

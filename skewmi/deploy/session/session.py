@@ -1,7 +1,7 @@
-"""The daemon: connects policy and endpoint, episode by episode, and always ends at rest.
+"""The session: connects policy and robot server, episode by episode, and always ends at rest.
 
 Nothing that goes wrong in an episode leaves `run`: it becomes a stop or a fault with its reason.
-Stopping means to send nothing more; the chunk that the endpoint accepted last ends at rest.
+Stopping means to send nothing more; the chunk that the robot server accepted last ends at rest.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from skewmi.deploy.motion.planner import Planner
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.realtime import hot_loop
 from skewmi.deploy.report import DeployReport, EpisodeReport
-from skewmi.deploy.robot.states import EndpointState
+from skewmi.deploy.robot.states import ServerState
 from skewmi.deploy.safety.checks import ChunkChecks
 from skewmi.deploy.session.episode import EpisodeRunner, action_cycles
 from skewmi.deploy.session.observer import ArmState, Observer
@@ -29,7 +29,7 @@ from skewmi.deploy.session.preflight import (
     planning_limits,
 )
 from skewmi.deploy.session.robot_client import RobotClient, StopRequestedError
-from skewmi.deploy.session.states import DAEMON_TABLE, DaemonEvent, DaemonState
+from skewmi.deploy.session.states import SESSION_TABLE, SessionEvent, SessionState
 from skewmi.deploy.session.stream import CYCLE_NS, CYCLE_TICKS, ChunkStream
 from skewmi.deploy.session.timing import CycleTimes
 from skewmi.deploy.state_machine import StateMachine, Transition
@@ -52,21 +52,21 @@ STATUS_NAME = "skewmi_deploy"
 _WARM_CYCLES = 10
 
 
-class Daemon:
-    """Runs episodes of one policy on one endpoint.
+class Session:
+    """Runs episodes of one policy on one robot server.
 
     Args:
         policy: What decides.
         options: How.
-        link: An open session to the endpoint.
+        link: An open session to the robot server.
         report: Filled in as the run goes on.
         stop: Set from outside to end the run with a smooth stop.
         on_event: Told in words what happens.
 
     Raises:
-        LayoutMismatchError: The endpoint is not what the policy was made for.
-        ConfigurationError: The endpoint's limits or pace differ.
-        TransportError: No endpoint answers.
+        LayoutMismatchError: The robot server is not what the policy was made for.
+        ConfigurationError: The robot server's limits or pace differ.
+        TransportError: No robot server answers.
     """
 
     def __init__(
@@ -84,14 +84,14 @@ class Daemon:
         self._on_event = on_event
         self._clock_ns = 0
         self._status = link.publisher(topics.YUMI_STATUS)
-        self._machine = StateMachine(DAEMON_TABLE, self._on_transition)
+        self._machine = StateMachine(SESSION_TABLE, self._on_transition)
         limits = planning_limits(options.limits, options.speed)
         self._robot = RobotClient(link, dry_run=options.dry_run)
         description = self._robot.describe()
         if description.lock_step != options.lock_step:
             pace = {True: "in lock-step", False: "in real time"}
             raise ConfigurationError(
-                f"the endpoint runs {pace[description.lock_step]}, this run is to be "
+                f"the robot server runs {pace[description.lock_step]}, this run is to be "
                 f"{pace[options.lock_step]}; give --lock-step to both or to none"
             )
         self._check_agreement = partial(
@@ -160,7 +160,7 @@ class Daemon:
             publish_gripper=self._open_gripper,
         )
         self._warm_up(policy, Planner(workspace, limits))
-        self._fire(DaemonEvent.CONNECTED, f"{description.backend} robot, {description.task}")
+        self._fire(SessionEvent.CONNECTED, f"{description.backend} robot, {description.task}")
 
     def _warm_up(self, policy: Policy, planner: Planner) -> None:
         """Do once what every cycle does: first calls load code and build tables."""
@@ -180,20 +180,20 @@ class Daemon:
             earlier = chunk.q[CYCLE_TICKS - 3 : CYCLE_TICKS]
 
     @property
-    def state(self) -> DaemonState:
+    def state(self) -> SessionState:
         return self._machine.state
 
     def run(self) -> None:
         """Run all episodes; what happened is in the report."""
         for index in range(self._options.episodes):
             if index > 0:
-                self._fire(DaemonEvent.NEXT_EPISODE, f"episode {index + 1}")
+                self._fire(SessionEvent.NEXT_EPISODE, f"episode {index + 1}")
             with hot_loop(priority=not self._options.lock_step) as granted:
                 go_on = self._episode(index)
             self._report.granted = granted
             if not go_on:
                 break
-        self._fire(DaemonEvent.FINISH, "all episodes are over")
+        self._fire(SessionEvent.FINISH, "all episodes are over")
         report = self._report
         report.usage = self._stream.usage
         report.cycles = self._times.cycles
@@ -210,49 +210,49 @@ class Daemon:
         try:
             self._checks.boxed = False
             state, q, q_goal = self._preflight(seed)
-            self._fire(DaemonEvent.READY, "hashes and limits agree, states are fresh, way is free")
+            self._fire(SessionEvent.READY, "hashes and limits agree, states are fresh, way is free")
             at_start = "dry run: the arm stays where it is"
             if not self._options.dry_run:
                 state = self._runner.move_to(q, q_goal, state)
                 q, at_start = q_goal, "the arm rests at the start"
-            self._fire(DaemonEvent.AT_START, at_start)
+            self._fire(SessionEvent.AT_START, at_start)
             self._checks.boxed = True
             end = self._runner.run_policy(q, state)
             final = end.observation
             reason = "the task is solved" if end.success else f"{end.steps} steps are used up"
             if end.held_back:
                 reason += f"; held back for {end.held_back} cycles ({end.held_back_reason})"
-            self._fire(DaemonEvent.SUCCESS if end.success else DaemonEvent.TIME_OVER, reason)
+            self._fire(SessionEvent.SUCCESS if end.success else SessionEvent.TIME_OVER, reason)
         except StopRequestedError as error:
             go_on = False
-            self._fire(DaemonEvent.STOP, str(error))
+            self._fire(SessionEvent.STOP, str(error))
         except TransportError as error:
             go_on = False
-            self._fire(DaemonEvent.FAULT, str(error))
+            self._fire(SessionEvent.FAULT, str(error))
         except SkewmiError as error:
-            self._fire(DaemonEvent.STOP, str(error))
+            self._fire(SessionEvent.STOP, str(error))
         except Exception as error:
             _log.exception("the cycle failed")
             go_on = False
-            self._fire(DaemonEvent.FAULT, f"{type(error).__name__}: {error}")
+            self._fire(SessionEvent.FAULT, f"{type(error).__name__}: {error}")
         outcome, reason = self._machine.state, self._machine.reason
         at_rest = None
         try:
             at_rest = self._robot.disarm()
         except SkewmiError as error:
             go_on = False
-            outcome, reason = DaemonState.FAULT, f"{reason}; then {error}"
-            self._fire(DaemonEvent.FAULT, reason)
-        if at_rest is not None and at_rest.state == EndpointState.FAULT.value:
+            outcome, reason = SessionState.FAULT, f"{reason}; then {error}"
+            self._fire(SessionEvent.FAULT, reason)
+        if at_rest is not None and at_rest.state == ServerState.FAULT.value:
             go_on = False
-            if outcome is not DaemonState.FAULT:
-                outcome = DaemonState.FAULT
-                reason = f"{reason}; then the endpoint is in fault: {at_rest.reason}"
-                self._fire(DaemonEvent.FAULT, reason)
-        self._fire(DaemonEvent.AT_REST, f"after {outcome.value}")
+            if outcome is not SessionState.FAULT:
+                outcome = SessionState.FAULT
+                reason = f"{reason}; then the robot server is in fault: {at_rest.reason}"
+                self._fire(SessionEvent.FAULT, reason)
+        self._fire(SessionEvent.AT_REST, f"after {outcome.value}")
         steps = self._runner.steps
-        words = "stopped" if outcome is DaemonState.STOPPING else outcome.value
-        if outcome in (DaemonState.STOPPING, DaemonState.FAULT):
+        words = "stopped" if outcome is SessionState.STOPPING else outcome.value
+        if outcome in (SessionState.STOPPING, SessionState.FAULT):
             self._report.stops.append(reason)
         names = self._layout.observation_names[: len(final)]
         values = dict(zip(names, map(float, final), strict=True))
@@ -264,7 +264,7 @@ class Daemon:
         return go_on and not self._stop.is_set()
 
     def _preflight(self, seed: int) -> tuple[ArmState, Array, Array]:
-        """Armed endpoint, way to the start checked, fresh states.
+        """Armed robot server, way to the start checked, fresh states.
 
         Returns:
             The newest state, where the arm is held, and where the episode starts, rad.
@@ -291,7 +291,7 @@ class Daemon:
         return state, q, q_goal
 
     def _supervise(self, state: ArmState) -> None:
-        """Every cycle: has somebody asked to stop, and does the endpoint still follow?"""
+        """Every cycle: has somebody asked to stop, and does the robot server still follow?"""
         self._clock_ns = state.stamp_ns
         self._check_interrupt()
         self._robot.check(late_is_final=self._options.lock_step)
@@ -301,7 +301,7 @@ class Daemon:
             raise StopRequestedError("interrupted")
 
     def _on_repeat(self) -> None:
-        if self._machine.state in (DaemonState.TO_START, DaemonState.RUNNING):
+        if self._machine.state in (SessionState.TO_START, SessionState.RUNNING):
             self._check_interrupt()
             self._robot.check(late_is_final=True)
 
@@ -315,12 +315,12 @@ class Daemon:
     def _open_gripper(self, opening: float) -> None:
         self._robot.open_gripper(opening, self._clock_ns)
 
-    def _fire(self, event: DaemonEvent, reason: str) -> None:
+    def _fire(self, event: SessionEvent, reason: str) -> None:
         self._machine.fire(event, reason, self._clock_ns)
 
-    def _on_transition(self, transition: Transition[DaemonState]) -> None:
+    def _on_transition(self, transition: Transition[SessionState]) -> None:
         _log.info("%s", transition)
-        level = {DaemonState.FAULT: ERROR, DaemonState.STOPPING: WARN}.get(transition.target, OK)
+        level = {SessionState.FAULT: ERROR, SessionState.STOPPING: WARN}.get(transition.target, OK)
         values = {
             "state": transition.target.value,
             "reason": transition.reason,

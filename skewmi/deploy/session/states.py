@@ -1,4 +1,4 @@
-"""The daemon's states: from looking for a robot to holding still again."""
+"""The session's states: from looking for a robot to holding still again."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from enum import Enum
 from skewmi.deploy.state_machine import TransitionTable
 
 
-class DaemonState(Enum):
+class SessionState(Enum):
     CONNECTING = "connecting"
-    """Waiting for an endpoint to answer."""
+    """Waiting for a robot server to answer."""
     PREFLIGHT = "preflight"
     """Comparing layout, robot model and limits; resetting a simulated scene; arming."""
     TO_START = "to start"
@@ -27,10 +27,10 @@ class DaemonState(Enum):
     HOLDING = "holding"
     """At rest between episodes."""
     DONE = "done"
-    """No more episodes; the endpoint is disarmed."""
+    """No more episodes; the robot server is disarmed."""
 
 
-class DaemonEvent(Enum):
+class SessionEvent(Enum):
     CONNECTED = "connected"
     READY = "ready"
     AT_START = "at start"
@@ -43,12 +43,12 @@ class DaemonEvent(Enum):
     FINISH = "finish"
 
 
-_S, _E = DaemonState, DaemonEvent
+_S, _E = SessionState, SessionEvent
 
 BRAKING = frozenset({_S.SUCCESS, _S.TIME_OVER, _S.STOPPING, _S.FAULT})
-"""States in which nothing new is published: the tail already at the endpoint brakes the arm."""
+"""States in which nothing new is published: the tail already at the robot server brakes the arm."""
 
-DAEMON_TABLE = TransitionTable(
+SESSION_TABLE = TransitionTable(
     _S.CONNECTING,
     {
         (_S.CONNECTING, _E.CONNECTED): _S.PREFLIGHT,

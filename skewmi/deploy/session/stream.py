@@ -1,8 +1,8 @@
-"""The stream of chunks from planner to endpoint: stamped, checked, sent, timed.
+"""The stream of chunks from planner to robot server: stamped, checked, sent, timed.
 
 Every chunk is due `lead` after the state that it answers. The lead is the time that planning,
 link and jitter may take together; it is the same in lock-step, so that both modes move alike.
-If a chunk would come too late, the endpoint has begun to brake on the previous one; the stream
+If a chunk would come too late, the robot server has begun to brake on the previous one; the stream
 then splices further along that braking tail, and the arm goes on without having stood still.
 """
 
@@ -73,13 +73,13 @@ class Sent:
 
 
 class ChunkStream:
-    """Sends chunks in the endpoint's time.
+    """Sends chunks in the robot server's time.
 
     Args:
         put: Publishes an encoded chunk.
         joint_names: Chain order.
         checks: Each judges a chunk before it is sent.
-        lock_step: The endpoint waits, so nothing is ever late.
+        lock_step: The robot server waits, so nothing is ever late.
         lead_ns: See the module; a multiple of the grid.
     """
 
@@ -116,7 +116,7 @@ class ChunkStream:
         """Start from rest.
 
         Args:
-            q: Where the endpoint holds the arm, rad. Shape (7,).
+            q: Where the robot server holds the arm, rad. Shape (7,).
             stamp_ns: Of the newest state; the first chunk is due `lead` after it.
         """
         rest = _Rest(np.tile(q, (CYCLE_TICKS + 1, 1)))

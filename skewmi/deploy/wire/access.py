@@ -1,8 +1,8 @@
 """Who may say what on a secured link: access rules and the Zenoh configuration of each role.
 
 Zenoh checks each message where it enters and where it leaves a session, against the common name
-in the certificate of the peer. The endpoint's rules are what protects the robot. Commander and
-observer carry the same rules mirrored: they listen to nobody but the endpoint, and an observer's
+in the certificate of the peer. The robot server's rules are what protects the robot. Commander and
+observer carry the same rules mirrored: they listen to nobody but the server, and an observer's
 own session keeps its commands back. Whatever no rule allows is dropped without a word.
 """
 
@@ -25,7 +25,7 @@ CONFIG_FILE = "zenoh.json5"
 class Role(StrEnum):
     """What a certificate entitles to."""
 
-    ENDPOINT = "endpoint"
+    ROBOT = "robot"
     """The robot: publishes states, serves arm and stop, follows commands."""
     COMMANDER = "commander"
     """`skewmi deploy` and `skewmi stop`: moves the robot."""
@@ -37,17 +37,17 @@ _READ_BY_ALL = (topics.YUMI_JOINT_STATES, topics.YUMI_SCENE_STATES, topics.YUMI_
 _WRITTEN_BY_COMMANDER = (
     topics.YUMI_TRAJECTORY,
     topics.YUMI_GRIPPER,
-    topics.YUMI_STATUS,  # of the daemon
+    topics.YUMI_STATUS,  # of the session
     topics.POLICY_OBSERVATION,
     topics.POLICY_ACTION,
 )
 
 Rule = tuple[str, str, tuple[str, ...], tuple[str, ...]]
-"""Direction ("in" to the endpoint or "out" of it), what for, Zenoh's message kinds, keys."""
+"""Direction ("in" to the robot server or "out" of it), what for, Zenoh's message kinds, keys."""
 
 
 def access_rules(role: Role, domain: int) -> tuple[Rule, ...]:
-    """Everything that a role may exchange with the endpoint.
+    """Everything that a role may exchange with the robot server.
 
     Args:
         role: Commander or observer.
@@ -91,11 +91,11 @@ def access_control(role: Role, common_names: Mapping[Role, str], domain: int) ->
         common_names: Of each role's certificate.
         domain: ROS 2 domain.
     """
-    if role is Role.ENDPOINT:
+    if role is Role.ROBOT:
         peers = {peer: access_rules(peer, domain) for peer in (Role.COMMANDER, Role.OBSERVER)}
         flow = {"in": "ingress", "out": "egress"}
     else:
-        peers = {Role.ENDPOINT: access_rules(role, domain)}
+        peers = {Role.ROBOT: access_rules(role, domain)}
         flow = {"in": "egress", "out": "ingress"}
     return {
         "enabled": True,
@@ -136,11 +136,11 @@ def zenoh_configuration(
 
     Args:
         role: Whose session.
-        locator: tls/HOST:PORT to listen on (endpoint) or to connect to.
+        locator: tls/HOST:PORT to listen on (robot server) or to connect to.
         common_names: Of each role's certificate.
         domain: ROS 2 domain.
     """
-    listens = role is Role.ENDPOINT
+    listens = role is Role.ROBOT
     side = "listen" if listens else "connect"
     tls = {
         "root_ca_certificate": AUTHORITY_FILE,

@@ -52,12 +52,12 @@ class CertificatePlan:
     """What to make."""
 
     hosts: tuple[str, ...]
-    """Names and addresses under which the endpoint's machine is reached; the first is where the
+    """Names and addresses under which the robot server's machine is reached; the first is where the
     others connect to."""
     port: int = 7447
-    """TCP port that the endpoint listens on."""
+    """TCP port that the robot server listens on."""
     listen: str | None = None
-    """Address of the endpoint's machine to listen on; None: the first of `hosts`."""
+    """Address of the robot server's machine to listen on; None: the first of `hosts`."""
     days: int = 90
     """How long the certificates are valid, days."""
     domain: int = 0
@@ -65,7 +65,7 @@ class CertificatePlan:
 
     def __post_init__(self) -> None:
         if not self.hosts:
-            raise ConfigurationError("give the name or address of the endpoint's machine (--host)")
+            raise ConfigurationError("give the name or address of the server's machine (--host)")
         for host in (*self.hosts, *((self.listen,) if self.listen is not None else ())):
             if _address(host) is None and not _HOST_NAME.fullmatch(host):
                 raise ConfigurationError(
@@ -86,7 +86,7 @@ class CertificatePlan:
 
     @property
     def listen_locator(self) -> str:
-        """Where the endpoint listens."""
+        """Where the robot server listens."""
         return f"tls/{_bracketed(self.listen or self.hosts[0])}:{self.port}"
 
 
@@ -219,12 +219,12 @@ def write_roles(
     for role in Role:
         folder = directory / role.value
         folder.mkdir(mode=0o700)
-        hosts = plan.hosts if role is Role.ENDPOINT else ()
+        hosts = plan.hosts if role is Role.ROBOT else ()
         certificate, key = authority.sign(common_names[role], begins, ends, hosts)
         _write(folder / AUTHORITY_FILE, certificate_pem(authority.certificate), 0o644)
         _write(folder / CERTIFICATE_FILE, certificate_pem(certificate), 0o644)
         _write(folder / KEY_FILE, key_pem(key), 0o600)
-        locator = plan.listen_locator if role is Role.ENDPOINT else plan.connect_locator
+        locator = plan.listen_locator if role is Role.ROBOT else plan.connect_locator
         text = zenoh_configuration(role, locator, common_names, plan.domain)
         _write(folder / CONFIG_FILE, text.encode(), 0o644)
     return common_names

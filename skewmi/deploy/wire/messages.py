@@ -41,7 +41,7 @@ class TrajectoryChunk:
     """Samples of commanded motion on a uniform grid; the last one is at rest."""
 
     stamp_ns: int
-    """Endpoint clock at which the first sample is due, ns."""
+    """Robot server clock at which the first sample is due, ns."""
     joint_names: tuple[str, ...]
     """Names of the d joints, chain order."""
     time_from_start_ns: NDArray[np.int64]

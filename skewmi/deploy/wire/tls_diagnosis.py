@@ -1,7 +1,7 @@
 """Why a TLS link does not come about.
 
 Zenoh says only that it timed out. Asking again with Python's own TLS, with the same files, tells
-whether nobody listens, whether we refuse the endpoint's certificate or it refuses ours, and why.
+whether nobody listens, whether we refuse the server's certificate or it refuses ours, and why.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def _handshake(context: ssl.SSLContext, host: str, port: int) -> str | None:
         try:
             connection = context.wrap_socket(raw, server_hostname=host)
         except ssl.SSLCertVerificationError as error:
-            return f"the endpoint's certificate is refused: {error.verify_message}"
+            return f"the robot server's certificate is refused: {error.verify_message}"
         except (ssl.SSLError, ConnectionError) as error:
             return f"what listens there does not speak TLS with us: {_words(error)}"
         with connection:
@@ -67,7 +67,7 @@ def _handshake(context: ssl.SSLContext, host: str, port: int) -> str | None:
             except TimeoutError:
                 return None
             except (ssl.SSLError, ConnectionError) as error:
-                return f"the endpoint refuses our certificate: {_words(error)}"
+                return f"the robot server refuses our certificate: {_words(error)}"
     return None
 
 

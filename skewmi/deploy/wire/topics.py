@@ -1,4 +1,4 @@
-"""Names, types and delivery of everything that travels between daemon and endpoint.
+"""Names, types and delivery of everything that travels between session and robot server.
 
 This is the only place where a topic is named. How a name becomes a key on the wire is in
 `ros2_keys`, what the bytes mean in `messages`; docs/wire.md shows both on one page.
@@ -43,7 +43,7 @@ YUMI_JOINT_STATES = Topic("/yumi/joint_states", JOINT_STATE)
 YUMI_SCENE_STATES = Topic("/yumi/scene_states", JOINT_STATE)
 """Measured scene joints: lid hinge (rad) and button slide (m)."""
 YUMI_STATUS = Topic("/yumi/status", DIAGNOSTIC_ARRAY)
-"""State machines of endpoint and daemon: each transition with its reason."""
+"""State machines of robot server and session: each transition with its reason."""
 
 POLICY_OBSERVATION = Topic("/skewmi/policy_observation", JOINT_STATE)
 """What the policy saw: names are the layout's fields, positions their values. Recorded only."""
@@ -57,9 +57,9 @@ YUMI_DISARM = Service("/yumi/disarm")
 YUMI_STOP = Service("/yumi/stop")
 """Smooth stop; anybody may call it. Acknowledges a fault once the arm rests."""
 YUMI_DESCRIBE = Service("/yumi/describe")
-"""The endpoint describes itself: JSON in the reply's message."""
+"""The robot server describes itself: JSON in the reply's message."""
 YUMI_SCENE_RESET = Service("/yumi/scene/reset")
-"""Put the scene and the arm back to the start of an episode. Simulated endpoints only."""
+"""Put the scene and the arm back to the start of an episode. Simulated robots only."""
 
 TOPICS = (
     YUMI_TRAJECTORY,

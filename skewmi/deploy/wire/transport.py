@@ -1,8 +1,8 @@
-"""The message link between daemon and endpoint: Zenoh sessions that ROS 2 nodes understand.
+"""The message link between session and robot server: Zenoh sessions that ROS 2 nodes understand.
 
-By default the endpoint listens on the loopback interface and everybody else connects to it;
-nothing is announced or searched on the network. The endpoint's session is a Zenoh *router*,
-so that it passes the daemon's commands on to recorders and ROS 2 nodes connected to it; no
+By default the robot server listens on the loopback interface and everybody else connects to it;
+nothing is announced or searched on the network. The robot server's session is a Zenoh *router*,
+so that it passes the session's commands on to recorders and ROS 2 nodes connected to it; no
 separate router has to run.
 
 Delivery. In real time a command that could not be sent at once is worthless, and a blocked
@@ -46,14 +46,14 @@ from skewmi.errors import ConfigurationError, TransportError
 __all__ = ["DEFAULT_LOCATOR", "LatestReader", "Link", "Publisher", "Sample", "TransportConfig"]
 
 DEFAULT_LOCATOR = "tcp/127.0.0.1:7447"
-"""Where the endpoint listens; 7447 is also where ROS 2 nodes look for their router."""
+"""Where the robot server listens; 7447 is also where ROS 2 nodes look for their router."""
 
 MAX_MESSAGE_BYTES = 256 * 1024
-"""Longest message that an endpoint takes in; the longest chunk has some 110 kB."""
+"""Longest message that a robot server takes in; the longest chunk has some 110 kB."""
 
 _REPLY_WAIT_US = 10_000
 """How long a reply in real time waits for room in the caller's queue before its session is
-closed, us; two and a half ticks of the endpoint's loop."""
+closed, us; two and a half ticks of the robot server's loop."""
 
 
 @dataclass(frozen=True)
@@ -67,8 +67,8 @@ class TransportConfig:
     zenoh_config: Path | None = None
     """Zenoh configuration file (JSON5 or YAML); `connect` and `listen`, if given, override it.
     What it leaves open is as without it, see `zenoh_file`."""
-    endpoint: bool = False
-    """Whether this session is a robot endpoint's, which listens if nothing says where."""
+    server: bool = False
+    """Whether this session is a robot server's, which listens if nothing says where."""
     lock_step: bool = False
     """Block rather than drop when the link is congested."""
     domain: int = 0
@@ -86,13 +86,13 @@ class TransportConfig:
             raise ConfigurationError(f"ROS 2 domain {self.domain} is not in 0..232")
 
     @staticmethod
-    def for_endpoint(listen: str | None = None, **options: Any) -> TransportConfig:
-        """Configuration of a robot endpoint; by default what the file says, else loopback."""
-        return TransportConfig(listen=() if listen is None else (listen,), endpoint=True, **options)
+    def for_robot(listen: str | None = None, **options: Any) -> TransportConfig:
+        """Configuration of a robot server; by default what the file says, else loopback."""
+        return TransportConfig(listen=() if listen is None else (listen,), server=True, **options)
 
     @staticmethod
     def for_client(connect: str | None = None, **options: Any) -> TransportConfig:
-        """Configuration of a daemon, a stop command or a watcher; by default as for_endpoint."""
+        """Configuration of a session, a stop command or a watcher; by default as for_robot."""
         return TransportConfig(connect=() if connect is None else (connect,), **options)
 
     def zenoh(self) -> Any:
@@ -120,7 +120,7 @@ class TransportConfig:
             "connect/endpoints": [] if listens else [DEFAULT_LOCATOR],
         }
         if listens:
-            # Zenoh allows a gigabyte, which one message could make the endpoint put together.
+            # Zenoh allows a gigabyte, which one message could make the robot server put together.
             defaults["transport/link/rx/max_message_size"] = MAX_MESSAGE_BYTES
         if listens and not self.lock_step:
             block = "transport/link/tx/queue/congestion_control/block"
@@ -141,7 +141,7 @@ class TransportConfig:
     @property
     def listens(self) -> bool:
         """Whether others connect to this session."""
-        return self.endpoint or bool(self.listen)
+        return self.server or bool(self.listen)
 
     @property
     def unprotected(self) -> tuple[str, ...]:
@@ -248,7 +248,7 @@ class Link:
         Args:
             name: Which.
             timeout_s: How long to wait, s.
-            request: Extra bytes behind the (empty) Trigger request, for our own endpoints.
+            request: Extra bytes behind the (empty) Trigger request, for our own robot servers.
 
         Raises:
             TransportError: Nobody serves it, it did not answer in time, or not sensibly.
@@ -282,8 +282,8 @@ class Link:
             f"no answer from {name.name} at {self._config.where} within {timeout_s:g} s"
         )
 
-    def wait_for_endpoint(self, timeout_s: float) -> dict[str, Any]:
-        """Wait until a robot endpoint describes itself.
+    def wait_for_robot(self, timeout_s: float) -> dict[str, Any]:
+        """Wait until a robot server describes itself.
 
         Returns:
             Its description, as served by `/yumi/describe`.
@@ -303,16 +303,16 @@ class Link:
                 description = json.loads(reply.message)
             except json.JSONDecodeError as error:
                 raise TransportError(
-                    f"the endpoint at {self._config.where} describes itself unreadably: {error}"
+                    f"the robot server at {self._config.where} describes itself unreadably: {error}"
                 ) from error
             if not isinstance(description, dict):
                 raise TransportError(
-                    f"the endpoint at {self._config.where} describes itself with "
+                    f"the robot server at {self._config.where} describes itself with "
                     f"{reply.message[:80]!r} instead of a JSON object"
                 )
             return description
         raise TransportError(
-            f"no robot endpoint answers at {self._config.where} within {timeout_s:g} s; "
+            f"no robot server answers at {self._config.where} within {timeout_s:g} s; "
             "start one with `skewmi robot`"
         )
 
@@ -353,7 +353,7 @@ def _explain(error: Exception, config: TransportConfig, zenoh_config: Any) -> Tr
             protocol, _, address = locator.partition("/")
             host, _, port = address.rpartition(":")
             return TransportError(
-                f"port {port} on {host} is in use: another endpoint or a Zenoh router runs there; "
+                f"port {port} on {host} is in use: another server or a Zenoh router runs there; "
                 f"stop it or use --listen {protocol}/{host}:PORT"
             )
     if "connect" in text.lower():
@@ -361,7 +361,7 @@ def _explain(error: Exception, config: TransportConfig, zenoh_config: Any) -> Tr
         if reason is not None:
             return TransportError(f"no secured link to {where}: {reason}")
         return TransportError(
-            f"no robot endpoint answers at {where} within {config.connect_timeout_s:g} s; "
+            f"no robot server answers at {where} within {config.connect_timeout_s:g} s; "
             "start one with `skewmi robot`"
         )
     return TransportError(

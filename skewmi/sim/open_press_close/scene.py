@@ -1,6 +1,6 @@
 """The model of OpenPressClose: robot and box in one MuJoCo model, and how to read and start it.
 
-Used by the batched environment and by the simulated robot endpoint alike.
+Used by the batched environment and by the simulated robot server alike.
 """
 
 from __future__ import annotations

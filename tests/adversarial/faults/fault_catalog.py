@@ -137,17 +137,17 @@ NOT_FINITE = Expect(FAULT, "joint states hold positions that are not finite")
 SPLICE = Expect(RESTS_GOES_ON, "splice: ")
 NOT_THERE = Expect(STOPPED, "rad from the start configuration")
 REPEATED = Expect(STOPPED, "repeated or overtaken")
-LATE = Expect(STOPPED, "in the past of the endpoint's clock")
-OVERRUN = Expect(RESTS_GOES_ON, "in the past of the endpoint's clock")
+LATE = Expect(STOPPED, "in the past of the robot server's clock")
+OVERRUN = Expect(RESTS_GOES_ON, "in the past of the robot server's clock")
 GONE = Expect(FAULT, "then no answer from /yumi/")
 LEASE_ENDS = Expect(DISARMED, "no command for 2 s")
-ENDED = Expect(FAULT, "stop asked for by the end of the endpoint")
+ENDED = Expect(FAULT, "stop asked for by the end of the robot server")
 INTRUDER = Expect(GOES_ON, "is not the commander")
 SKEWMI_STOP = Expect(STOPPED, "stop asked for by skewmi stop")
 BOX = "distance outside the workspace"
 
 GROUPS: dict[str, tuple[Row, ...]] = {
-    "What the daemon sees": (
+    "What the session sees": (
         _state_row("joint states stop coming", silent(YUMI_JOINT_STATES), STALE_JOINTS),
         _state_row("the same joint state again and again", frozen(YUMI_JOINT_STATES), STALE_JOINTS),
         _state_row("joint states with a NaN", wrong_state, NOT_FINITE),
@@ -192,7 +192,7 @@ GROUPS: dict[str, tuple[Row, ...]] = {
         _chunk_row("a NaN", one_nan, "positions hold values that are not finite"),
         _chunk_row("does not end at rest", without_tail, "a chunk must end at rest"),
     ),
-    "A chunk on the link breaks a limit (the endpoint refuses)": tuple(
+    "A chunk on the link breaks a limit (the robot server refuses)": tuple(
         _chunk_row(kind, breaching(kind), says)
         for kind, says in (
             ("position", "joint position"),
@@ -203,7 +203,7 @@ GROUPS: dict[str, tuple[Row, ...]] = {
             ("workspace box", BOX),
         )
     ),
-    "The planner breaks a limit (the daemon does not send it)": (
+    "The planner breaks a limit (the session does not send it)": (
         _planned_row("position", "joint position", "joint position"),
         _planned_row("velocity", "joint velocity", "joint velocity"),
         _planned_row("acceleration", "joint acceleration", "joint acceleration"),
@@ -231,7 +231,7 @@ GROUPS: dict[str, tuple[Row, ...]] = {
     ),
     "Programs and links": (
         Row(
-            Fault("daemon killed (-9)", killed, killed),
+            Fault("session killed (-9)", killed, killed),
             LEASE_ENDS,
             LEASE_ENDS,
             Expect(DISARMED, "disarmed by its commander"),
@@ -239,7 +239,7 @@ GROUPS: dict[str, tuple[Row, ...]] = {
         ),
         Row(
             Fault(
-                "endpoint killed (-9) and started again",
+                "robot server killed (-9) and started again",
                 restarted(signal.SIGKILL, 0.06),
                 restarted(signal.SIGKILL),
             ),
@@ -250,7 +250,7 @@ GROUPS: dict[str, tuple[Row, ...]] = {
         ),
         Row(
             Fault(
-                "endpoint ended and started again",
+                "robot server ended and started again",
                 restarted(signal.SIGTERM, 0.06),
                 restarted(signal.SIGTERM),
             ),

@@ -13,14 +13,14 @@ from typing import Any, Self
 
 import numpy as np
 from fault_clock import WallClock
-from fault_daemon import DaemonProcess
 from fault_link import MOVING, FaultLink
 from fault_motion import Motion, assert_safe
 from fault_proxy import TcpProxy
 from fault_robot import Robot
+from fault_session import SessionProcess
 
 from skewmi.deploy.realtime import hot_loop
-from skewmi.deploy.robot.description import EndpointDescription
+from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.transport import Link, TransportConfig
 
@@ -51,7 +51,7 @@ STOPPED = "stopped"
 FAULT = "fault"
 AS_ASKED = "rests as asked"
 DISARMED = "rests, disarmed"
-"""Of an arm whose daemon is dead."""
+"""Of an arm whose session is dead."""
 
 
 BUSY = ("no new joint state for", "start motions came too late", "missed ")
@@ -68,7 +68,7 @@ class Observed:
 
     verdict: str
     said: str
-    """Everything that report and endpoint told the user, and the intruder if there is one."""
+    """Everything that report and robot server told the user, and the intruder if there is one."""
     shares: dict[str, float]
     """Largest use of each limit by the commanded motion."""
     times: dict[str, list[tuple[int, int]]]
@@ -79,24 +79,24 @@ class Cell:
     """What faults act on.
 
     Args:
-        bench: A running endpoint and a daemon that is about to run.
+        bench: A running robot server and a session that is about to run.
         link: Between them.
-        proxy: Between the daemon and the link, or None.
+        proxy: Between the session and the link, or None.
     """
 
     def __init__(self, bench: Bench, link: FaultLink, proxy: TcpProxy | None) -> None:
-        self.robot, self.daemon, self.clock = bench.robot, bench.daemon, bench.clock
+        self.robot, self.session, self.clock = bench.robot, bench.session, bench.clock
         self.link, self.proxy = link, proxy
         self.told: list[str] = []
-        """What others than the daemon were told."""
+        """What others than the session were told."""
         self.fault_s: float | None = None
         """When the fault began, monotonic clock."""
-        self.endpoint_died_s: float | None = None
+        self.server_died_s: float | None = None
         self._threads: list[threading.Thread] = []
 
     def stop(self) -> None:
         """What Ctrl-C does."""
-        self.daemon.tell(do="stop")
+        self.session.tell(do="stop")
 
     def began(self, time_s: float) -> None:
         """The fault happens now."""
@@ -122,13 +122,13 @@ class Fault:
     inject: Callable[[Cell], None]
     """Called in the link's thread, before the chunk that it has just received goes on."""
     after_stop: Callable[[Cell], None] | None = None
-    """In phase stopping: called when the endpoint has answered the stop and brakes. None: the
+    """In phase stopping: called when the robot server has answered the stop and brakes. None: the
     stop is asked for at the moment that the fault begins."""
     plant: str = "nothing"
-    """What is planted in the daemon."""
+    """What is planted in the session."""
     lock_step: bool = False
     proxied: bool = False
-    """Whether there is a TCP proxy between daemon and link."""
+    """Whether there is a TCP proxy between session and link."""
     lead_ms: float = 40.0
     """See `DeployOptions`. More than its default, for the same reason as `ATTEMPTS`."""
     clock_jump_s: int = 0
@@ -136,10 +136,10 @@ class Fault:
 
 
 class Bench:
-    """An endpoint and a daemon to run cells on; a context manager that ends both.
+    """A robot server and a session to run cells on; a context manager that ends both.
 
     Args:
-        folder: For the endpoint's log.
+        folder: For the robot server's log.
         lock_step: Their pace.
         clock: That both shall have, or None for the machine's.
     """
@@ -148,15 +148,15 @@ class Bench:
         environment = {} if clock is None else clock.environment
         self.clock = clock
         self.robot = Robot(folder / "targets", lock_step=lock_step, environment=environment)
-        self.daemon = DaemonProcess(environment)
+        self.session = SessionProcess(environment)
 
     def __enter__(self) -> Self:
         self.robot.__enter__()
-        self.daemon.start()
+        self.session.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.daemon.close()
+        self.session.close()
         self.robot.__exit__()
 
 
@@ -172,7 +172,7 @@ def run_cell(fault: Fault, phase: Phase, bench: Bench) -> Observed:
         AssertionError: A limit was broken, the arm does not rest, or it cannot be used afterwards.
         NotReachedError: The arm did not move when the fault came, or the fault did not come.
     """
-    robot, daemon = bench.robot, bench.daemon
+    robot, session = bench.robot, bench.session
     assert robot.lock_step == fault.lock_step
     first_row = len(robot.rows())
     with ExitStack() as stack:
@@ -182,7 +182,7 @@ def run_cell(fault: Fault, phase: Phase, bench: Bench) -> Observed:
         _schedule(fault, phase, cell)
         # The link shall not be slower than what it links.
         stack.enter_context(hot_loop(priority=not fault.lock_step))
-        report = daemon.run(
+        report = session.run(
             (proxy or link).locator,
             lock_step=fault.lock_step,
             steps=STEPS,
@@ -196,7 +196,7 @@ def run_cell(fault: Fault, phase: Phase, bench: Bench) -> Observed:
         description = _wait_for_rest(robot)
         said = f"{_said(report, link, cell)} | {description.reason}"
     end = np.array(description.commanded_position)
-    motion = Motion.of(robot.rows()[first_row:], end, cell.endpoint_died_s)
+    motion = Motion.of(robot.rows()[first_row:], end, cell.server_died_s)
     shares = assert_safe(motion)
     _resume(bench)
     if cell.fault_s is None:
@@ -223,8 +223,8 @@ def _schedule(fault: Fault, phase: Phase, cell: Cell) -> None:
 
     if phase is Phase.STOPPING and fault.after_stop is not None:
         cell.link.on_stopped = stopped
-    daemon_state = "to start" if phase is Phase.START else "running"
-    cell.link.when_moving(daemon_state, fault.lead_ms, begin)
+    session_state = "to start" if phase is Phase.START else "running"
+    cell.link.when_moving(session_state, fault.lead_ms, begin)
 
 
 def _said(report: dict[str, Any] | None, link: FaultLink, cell: Cell) -> str:
@@ -236,14 +236,14 @@ def _said(report: dict[str, Any] | None, link: FaultLink, cell: Cell) -> str:
     return " | ".join(said)
 
 
-def _wait_for_rest(robot: Robot) -> EndpointDescription:
-    """Until the endpoint is disarmed; a fault is acknowledged as `skewmi stop` does."""
+def _wait_for_rest(robot: Robot) -> RobotDescription:
+    """Until the robot server is disarmed; a fault is acknowledged as `skewmi stop` does."""
     deadline = time.monotonic() + REST_TIMEOUT_S
     config = TransportConfig.for_client(robot.locator, lock_step=robot.lock_step)
     with Link.open(config, "watcher") as link:
         while True:
             answer = link.call(topics.YUMI_DESCRIBE, 5.0)
-            description = EndpointDescription.from_json(answer.message)
+            description = RobotDescription.from_json(answer.message)
             if description.state == "disarmed":
                 return description
             if description.state == "fault":
@@ -271,7 +271,7 @@ def _resume(bench: Bench) -> None:
     robot = bench.robot
     first_row = len(robot.rows())
     for _ in range(ATTEMPTS):
-        report = bench.daemon.run(
+        report = bench.session.run(
             robot.locator,
             lock_step=robot.lock_step,
             steps=RESUMED_STEPS,

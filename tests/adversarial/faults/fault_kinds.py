@@ -25,7 +25,7 @@ DOWN_S = 1.0
 
 
 def silent(topic: topics.Topic) -> Inject:
-    """No further state of a kind reaches the daemon."""
+    """No further state of a kind reaches the session."""
 
     def inject(cell: Cell) -> None:
         cell.link.on_state = lambda t, message: None if t is topic else message
@@ -122,7 +122,7 @@ def cut_short(cell: Cell) -> None:
 
 
 def next_chunk(cell: Cell) -> Message:
-    """What the daemon would have sent next: the rest of its last chunk, one cycle later."""
+    """What the session would have sent next: the rest of its last chunk, one cycle later."""
     last = cell.link.last_chunk
     assert last is not None
     rest = rows_of(last.chunk, slice(CYCLE_TICKS, None))
@@ -146,23 +146,23 @@ def cut_short_late(cell: Cell) -> None:
 
 
 def planted(cell: Cell) -> None:
-    """What `Fault.plant` names happens in the daemon."""
-    cell.daemon.tell(do="fault")
+    """What `Fault.plant` names happens in the session."""
+    cell.session.tell(do="fault")
 
 
 def killed(cell: Cell) -> None:
-    cell.daemon.kill()
+    cell.session.kill()
 
 
 def restarted(number: signal.Signals, wait_s: float = 0.0) -> Inject:
-    """The endpoint's process ends by a signal, after a while, and a new one is started."""
+    """The robot server's process ends by a signal, after a while, and a new one is started."""
 
     def inject(cell: Cell) -> None:
         def restart() -> None:
             time.sleep(wait_s)
             cell.began(time.monotonic())
             if number is signal.SIGKILL:
-                cell.endpoint_died_s = time.monotonic()
+                cell.server_died_s = time.monotonic()
             cell.robot.end(number)
             cell.robot.start()
             cell.link.connect_robot()
@@ -204,7 +204,7 @@ def disarmed(cell: Cell) -> None:
 
 
 def clock_jump(offset_s: int) -> Inject:
-    """The wall clock jumps, for daemon and endpoint alike."""
+    """The wall clock jumps, for session and robot server alike."""
 
     def inject(cell: Cell) -> None:
         assert cell.clock is not None

@@ -1,6 +1,6 @@
-"""A link between daemon and endpoint that can do everything links do to messages, and worse.
+"""A link between session and robot server that can do everything links do to messages, and worse.
 
-Two Zenoh sessions: the daemon connects to one, the other connects to the endpoint. Messages and
+Two Zenoh sessions: the session connects to one, the other connects to the server. Messages and
 service calls pass through byte by byte, attachments included, unless a fault says otherwise.
 """
 
@@ -70,7 +70,7 @@ class FaultLink:
     """Forwards everything; `on_chunk`, `on_state` and `when_moving` are where faults act.
 
     Args:
-        robot: Locator of the endpoint.
+        robot: Locator of the robot server.
         lock_step: Its pace.
     """
 
@@ -79,11 +79,11 @@ class FaultLink:
         self._config = TransportConfig(lock_step=lock_step)
         self._robot_config = TransportConfig.for_client(robot, lock_step=lock_step)
         self.on_chunk: Callable[[Message], list[Delivery]] | None = None
-        """What becomes of a chunk on its way to the endpoint."""
+        """What becomes of a chunk on its way to the robot server."""
         self.on_state: Callable[[topics.Topic, Message], Message | None] | None = None
-        """What becomes of a joint or scene state on its way to the daemon."""
+        """What becomes of a joint or scene state on its way to the session."""
         self.on_stopped: Callable[[], None] | None = None
-        """Called once when the daemon's own stop has been answered by the endpoint."""
+        """Called once when the session's own stop has been answered by the robot server."""
         self._robot_statuses: list[Status] = []
         self.last_chunk: Message | None = None
         self.times: dict[str, list[tuple[int, int]]] = {}
@@ -99,17 +99,17 @@ class FaultLink:
         self._robot: Any = None
 
     def __enter__(self) -> Self:
-        self._daemon = zenoh.open(replace(self._config, listen=(self.locator,)).zenoh())
-        daemon_sees = (topics.YUMI_JOINT_STATES, topics.YUMI_SCENE_STATES, topics.YUMI_STATUS)
-        self._to_daemon = {t.name: self._publisher(self._daemon, t) for t in daemon_sees}
+        self._session = zenoh.open(replace(self._config, listen=(self.locator,)).zenoh())
+        session_sees = (topics.YUMI_JOINT_STATES, topics.YUMI_SCENE_STATES, topics.YUMI_STATUS)
+        self._to_session = {t.name: self._publisher(self._session, t) for t in session_sees}
         self.connect_robot()
         self._declared = [
-            self._listen(self._daemon, topics.YUMI_TRAJECTORY, self._from_daemon),
-            self._listen(self._daemon, topics.YUMI_GRIPPER, self._from_daemon),
-            self._listen(self._daemon, topics.YUMI_STATUS, self._daemon_says),
+            self._listen(self._session, topics.YUMI_TRAJECTORY, self._from_session),
+            self._listen(self._session, topics.YUMI_GRIPPER, self._from_session),
+            self._listen(self._session, topics.YUMI_STATUS, self._session_says),
         ]
         for service in topics.SERVICES:
-            queryable = self._daemon.declare_queryable(
+            queryable = self._session.declare_queryable(
                 ros2_keys.data_key(DOMAIN, service), zenoh.handlers.FifoChannel(64), complete=True
             )
             self._declared.append(queryable)
@@ -118,7 +118,7 @@ class FaultLink:
         return self
 
     def connect_robot(self) -> None:
-        """Open the endpoint's side, anew if the endpoint is a new one."""
+        """Open the robot server's side, anew if the robot server is a new one."""
         if self._robot is not None:
             self._robot.close()
         self._robot = zenoh.open(self._robot_config.zenoh())
@@ -133,11 +133,11 @@ class FaultLink:
         with self._wake:
             self._closing = True
             self._wake.notify()
-        self._daemon.close()
+        self._session.close()
         self._robot.close()
 
     def when_moving(self, phase: str, lead_ms: float, action: Callable[[], None]) -> None:
-        """Call `action` once, when the arm moves in a daemon's phase and the next chunk comes.
+        """Call `action` once, when the arm moves in a session's phase and the next chunk comes.
 
         A chunk moves the arm `lead_ms` after it was sent.
         """
@@ -146,7 +146,7 @@ class FaultLink:
         self._moves_ns = None
 
     def send(self, message: Message, delay_s: float = 0.0) -> None:
-        """To the endpoint, now or later, whatever the faults."""
+        """To the robot server, now or later, whatever the faults."""
         if delay_s <= 0.0:
             self._put(self._to_robot[topics.YUMI_TRAJECTORY.name], message)
             return
@@ -156,7 +156,7 @@ class FaultLink:
             self._wake.notify()
 
     def said_by_robot(self) -> str:
-        """Reasons and refusals that the endpoint told since the first chunk, each once."""
+        """Reasons and refusals that the robot server told since the first chunk, each once."""
         said = [
             text
             for status in list(self._robot_statuses)
@@ -186,7 +186,7 @@ class FaultLink:
         key = ros2_keys.data_key(DOMAIN, topic)
         return session.declare_subscriber(key, callback, allowed_origin=remote)
 
-    def _from_daemon(self, topic: topics.Topic, message: Message) -> None:
+    def _from_session(self, topic: topics.Topic, message: Message) -> None:
         if topic is not topics.YUMI_TRAJECTORY:
             self._put(self._to_robot[topic.name], message)
             return
@@ -211,9 +211,9 @@ class FaultLink:
         elif self.on_state is not None:
             out = self.on_state(topic, message)
         if out is not None:
-            self._put(self._to_daemon[topic.name], out)
+            self._put(self._to_session[topic.name], out)
 
-    def _daemon_says(self, topic: topics.Topic, message: Message) -> None:
+    def _session_says(self, topic: topics.Topic, message: Message) -> None:
         del topic
         self._phase = decode_status(message.payload).values.get("state", "")
 
@@ -241,13 +241,13 @@ class FaultLink:
                         action()
                     query.reply(query.key_expr, reply.ok.payload, attachment=reply.ok.attachment)
         except zenoh.ZError:
-            return  # the endpoint is gone: no answer is the answer
+            return  # the robot server is gone: no answer is the answer
 
     def _put(self, publisher: Any, message: Message) -> None:
         try:
             publisher.put(message.payload, attachment=message.attachment)
         except zenoh.ZError:
-            return  # closing, or the endpoint is gone
+            return  # closing, or the robot server is gone
 
     def _deliver(self) -> None:
         with self._wake:

@@ -1,4 +1,4 @@
-"""What the endpoint commanded, judged by differences of positions on the grid and nothing else.
+"""What the robot server commanded, judged by differences of positions on the grid and nothing else.
 
 The limits are restated here; nothing is imported from those that enforce them. The hand is
 computed with Pinocchio on the URDF.
@@ -43,11 +43,11 @@ class Motion:
     measured_end: Array
     """Joint angles at the end, rad. Shape (7,)."""
     died_s: float | None = None
-    """When the endpoint's process was killed, monotonic clock: nothing was commanded then."""
+    """When the robot server's process was killed, monotonic clock: nothing was commanded then."""
 
     @staticmethod
     def of(rows: Array, end: Array, died_s: float | None = None) -> Motion:
-        """Of rows of a log and where the endpoint says that it holds the arm in the end.
+        """Of rows of a log and where the robot server says that it holds the arm in the end.
 
         In lock-step time stands still before that last sample is commanded.
         """

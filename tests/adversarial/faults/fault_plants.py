@@ -1,4 +1,4 @@
-"""What can go wrong inside of the daemon: planner, policy, torque limits."""
+"""What can go wrong inside of the session: planner, policy, torque limits."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fault_chunks import breach
 from skewmi.deploy.motion.planner import PlannedChunk, Planner
 from skewmi.deploy.motion.start_motion import StartMotion
 from skewmi.deploy.session import episode as episode_module
-from skewmi.deploy.session import session as daemon_module
+from skewmi.deploy.session import session as session_module
 from skewmi.deploy.session.preflight import planning_limits
 from skewmi.robot_models.limits import JointLimits
 
@@ -63,7 +63,7 @@ class Planted:
         """Called when the policy is asked."""
 
     def patches(self) -> list[tuple[Any, str, Any]]:
-        """(where, name, replacement) so that the daemon plans through `plan`."""
+        """(where, name, replacement) so that the session plans through `plan`."""
         planted = self
 
         class FaultyPlanner(Planner):
@@ -79,14 +79,14 @@ class Planted:
             return replace(limits, torque=planted.torque_share * limits.torque)
 
         return [
-            (daemon_module, "Planner", FaultyPlanner),
-            (daemon_module, "planning_limits", weak_limits),
+            (session_module, "Planner", FaultyPlanner),
+            (session_module, "planning_limits", weak_limits),
             (episode_module, "StartMotion", FaultyStart),
         ]
 
 
 class Breach(Planted):
-    """The planner breaks a limit: the daemon's own checks must see it."""
+    """The planner breaks a limit: the session's own checks must see it."""
 
     def __init__(self, kind: str, trigger: threading.Event, began: Callable[[], None]) -> None:
         super().__init__(trigger, began)

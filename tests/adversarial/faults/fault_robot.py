@@ -17,7 +17,7 @@ from typing import Any, Self
 import numpy as np
 
 from skewmi.cli.main import main
-from skewmi.deploy.robot import run as endpoint_run
+from skewmi.deploy.robot import run as robot_run
 from skewmi.deploy.robot.backends.mujoco.backend import SimTwin
 from skewmi.deploy.robot.executor import PlanPoint
 from skewmi.deploy.robot.process import free_port
@@ -52,7 +52,7 @@ class WatchedTwin(SimTwin):
 
 
 class Robot:
-    """A watched endpoint process; a context manager that ends it.
+    """A watched robot server process; a context manager that ends it.
 
     Args:
         log: File for the rows; kept over restarts.
@@ -81,7 +81,7 @@ class Robot:
             env=self._environment,
         )
         assert self._child.stdout is not None
-        assert self._child.stdout.readline(), "the endpoint did not start"
+        assert self._child.stdout.readline(), "the robot server did not start"
 
     def end(self, number: int = signal.SIGTERM) -> int:
         """Send a signal and wait; the exit code."""
@@ -111,5 +111,5 @@ class Robot:
 
 
 if __name__ == "__main__":
-    endpoint_run.SimTwin = WatchedTwin  # type: ignore[misc]
+    robot_run.SimTwin = WatchedTwin  # type: ignore[misc]
     sys.exit(main(sys.argv[1:]))

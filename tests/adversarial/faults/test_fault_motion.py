@@ -18,7 +18,7 @@ REST = (START, np.zeros(7), np.zeros(7))
 
 
 def logged(q: Array) -> Motion:
-    """As if the endpoint had commanded these positions, and the arm had followed."""
+    """As if the robot server had commanded these positions, and the arm had followed."""
     times = 0.004 * np.arange(len(q))
     rows = np.column_stack([np.full(len(q), STEP), times, q, q])
     return Motion.of(rows, q[-1])

@@ -41,7 +41,7 @@ def states(number: int) -> bytes:
 def config() -> TransportConfig:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
-        return TransportConfig.for_endpoint(f"tcp/127.0.0.1:{probe.getsockname()[1]}")
+        return TransportConfig.for_robot(f"tcp/127.0.0.1:{probe.getsockname()[1]}")
 
 
 def publish_until_recorded(link: Link, path: Path, at_least_bytes: int) -> int:
@@ -323,7 +323,7 @@ def test_recorder_refuses_before_it_starts(tmp_path, config):
         Recorder(tmp_path / "absent" / "run.mcap", config)
 
 
-def test_recorder_without_endpoint_says_so(tmp_path, config):
+def test_recorder_without_robot_server_says_so(tmp_path, config):
     client = TransportConfig.for_client(config.listen[0], connect_timeout_s=0.3)
-    with pytest.raises(TransportError, match="no robot endpoint answers"):
+    with pytest.raises(TransportError, match="no robot server answers"):
         Recorder(tmp_path / "run.mcap", client)

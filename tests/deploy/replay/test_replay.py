@@ -28,7 +28,7 @@ from skewmi.robot_models.kinematics import ArmKinematics
 GRID_NS = 4_000_000
 CYCLE_NS = 20_000_000
 EPOCH_NS = 3_000_000_000
-"""Endpoint clock at the start of the recording."""
+"""Robot server clock at the start of the recording."""
 DURATION_S = 2.0
 SUCCESS_S = 1.2
 

@@ -1,4 +1,4 @@
-"""The endpoint without its wires, on the real simulated robot: states, execution, refusals."""
+"""The robot server without its wires, on the real simulated robot: states, execution, refusals."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from skewmi.deploy.motion.start_motion import StartMotion
 from skewmi.deploy.robot.backend import GRID_NS, BackendFaultError
 from skewmi.deploy.robot.backends.mujoco.backend import SimTwin
-from skewmi.deploy.robot.controller import LEASE_NS, EndpointController
+from skewmi.deploy.robot.controller import LEASE_NS, RobotController
 from skewmi.deploy.robot.executor import PlanExecutor, PlanPoint
 from skewmi.deploy.robot.refusals import Refusal
 from skewmi.deploy.robot.run import limit_check
-from skewmi.deploy.robot.states import EndpointState
+from skewmi.deploy.robot.states import ServerState
 from skewmi.deploy.safety.validation import (
     MAX_CHUNK_BYTES,
     ChunkValidator,
@@ -47,32 +47,32 @@ def twin() -> WatchedTwin:
 
 
 @pytest.fixture
-def robot(twin: WatchedTwin) -> EndpointController:
+def robot(twin: WatchedTwin) -> RobotController:
     twin.reset_scene(seed=0)
     twin.targets.clear()
     assert twin.layout.workspace is not None
     rules = ValidationRules(joint_names=twin.joint_names, grid_ns=GRID_NS)
     validator = ChunkValidator(rules, limit_check(LAB, twin.layout.workspace))
-    return EndpointController(twin, validator)
+    return RobotController(twin, validator)
 
 
-def motion_from(robot: EndpointController, size: float = 0.03) -> StartMotion:
+def motion_from(robot: RobotController, size: float = 0.03) -> StartMotion:
     start = np.array(robot.commanded_position())
     return StartMotion(start, start + size * np.array([1, -0.5, 0, 0.5, 0, 1, 0]), LAB)
 
 
-def payload(robot: EndpointController, motion: StartMotion, tick: int) -> bytes:
+def payload(robot: RobotController, motion: StartMotion, tick: int) -> bytes:
     times = np.arange(len(motion.q), dtype=np.int64) * GRID_NS
     names = tuple(robot.plan and robot._backend.joint_names)
     return encode_chunk(TrajectoryChunk(tick * GRID_NS, names, times, motion.q, motion.v, motion.a))
 
 
-def run(robot: EndpointController, ticks: int, now_ns: int = 0) -> None:
+def run(robot: RobotController, ticks: int, now_ns: int = 0) -> None:
     for _ in range(ticks):
         robot.step(now_ns)
 
 
-def start_moving(robot: EndpointController, size: float = 0.03) -> StartMotion:
+def start_moving(robot: RobotController, size: float = 0.03) -> StartMotion:
     motion = motion_from(robot, size)
     robot.arm(OURS + GRIPPER, 0)
     assert robot.receive(payload(robot, motion, robot.tick_index + 3), OURS, 1, 0)
@@ -87,7 +87,7 @@ def assert_within_limits(q: np.ndarray) -> None:
         assert (peak <= bound * (1 + 1e-6)).all(), (order, peak / bound)
 
 
-def test_disarmed_robot_holds_still_and_refuses(robot: EndpointController) -> None:
+def test_disarmed_robot_holds_still_and_refuses(robot: RobotController) -> None:
     motion = motion_from(robot)
     assert not robot.receive(payload(robot, motion, 5), OURS, 1, 0)
     (refusal,) = robot.take_refusals()
@@ -96,11 +96,11 @@ def test_disarmed_robot_holds_still_and_refuses(robot: EndpointController) -> No
     assert not refusal.out_of_step
     assert refusal.stamp_ns == 5 * GRID_NS
     run(robot, 20)
-    assert robot.state is EndpointState.DISARMED
+    assert robot.state is ServerState.DISARMED
     assert np.ptp([t.q for t in robot._backend.targets], axis=0).max() == 0.0
 
 
-def test_executes_chunks_exactly_on_the_grid(robot: EndpointController) -> None:
+def test_executes_chunks_exactly_on_the_grid(robot: RobotController) -> None:
     motion = start_moving(robot)
     run(robot, 3 + len(motion.q) + 10)
     targets = robot._backend.targets
@@ -109,12 +109,12 @@ def test_executes_chunks_exactly_on_the_grid(robot: EndpointController) -> None:
     )
     np.testing.assert_array_equal([t.q for t in targets], expected)
     np.testing.assert_array_equal([t.v for t in targets[3:-10]], motion.v)
-    assert robot.state is EndpointState.HOLDING
+    assert robot.state is ServerState.HOLDING
     measured = robot.measure().position[:7]
     assert np.abs(measured - motion.q[-1]).max() < 0.02
 
 
-def test_keeps_executing_the_tail_if_nothing_newer_comes(robot: EndpointController) -> None:
+def test_keeps_executing_the_tail_if_nothing_newer_comes(robot: RobotController) -> None:
     whole = motion_from(robot, size=0.1)
     robot.arm(OURS, 0)
     for cycle in range(4):
@@ -129,37 +129,37 @@ def test_keeps_executing_the_tail_if_nothing_newer_comes(robot: EndpointControll
     q = np.array([t.q for t in robot._backend.targets])
     assert_within_limits(q)
     assert np.ptp(q[-20:], axis=0).max() == 0.0
-    assert robot.state is EndpointState.HOLDING
+    assert robot.state is ServerState.HOLDING
 
 
 @pytest.mark.parametrize("when", range(6, 36, 6))
-def test_stop_brakes_within_limits_and_disarms(robot: EndpointController, when: int) -> None:
+def test_stop_brakes_within_limits_and_disarms(robot: RobotController, when: int) -> None:
     motion = start_moving(robot)
     run(robot, when)
     robot.stop("test")
-    assert robot.state is EndpointState.STOPPING
+    assert robot.state is ServerState.STOPPING
     assert not robot.receive(payload(robot, motion, robot.tick_index + 3), OURS, 2, 0)
     with pytest.raises(CommandRefusedError, match="stopping"):
         robot.arm(OURS, 0)
     run(robot, 60)
-    assert robot.state is EndpointState.DISARMED
+    assert robot.state is ServerState.DISARMED
     q = np.array([t.q for t in robot._backend.targets])
     assert_within_limits(q)
     assert np.ptp(q[-10:], axis=0).max() == 0.0
 
 
-def test_second_commander_is_refused_with_the_reason(robot: EndpointController) -> None:
+def test_second_commander_is_refused_with_the_reason(robot: RobotController) -> None:
     start_moving(robot)
     motion = motion_from(robot)
     assert not robot.receive(payload(robot, motion, robot.tick_index + 50), OTHER, 1, 0)
     assert "is not the commander" in robot.take_refusals()[0].reason
     with pytest.raises(CommandRefusedError, match="holds the arm"):
         robot.arm(OTHER, 0)
-    assert robot.state is EndpointState.EXECUTING
+    assert robot.state is ServerState.EXECUTING
 
 
 def test_arming_without_gids_makes_the_first_valid_sender_the_commander(
-    robot: EndpointController,
+    robot: RobotController,
 ) -> None:
     robot.arm(b"", 0)
     motion = motion_from(robot)
@@ -167,18 +167,18 @@ def test_arming_without_gids_makes_the_first_valid_sender_the_commander(
     assert not robot.receive(payload(robot, motion, 60), OURS, 10, 0)
 
 
-def test_silent_commander_loses_the_arm(robot: EndpointController) -> None:
+def test_silent_commander_loses_the_arm(robot: RobotController) -> None:
     start_moving(robot)
     run(robot, 60, now_ns=LEASE_NS)
-    assert robot.state is EndpointState.HOLDING
+    assert robot.state is ServerState.HOLDING
     run(robot, 1, now_ns=LEASE_NS + 1)
-    assert robot.state is EndpointState.DISARMED
+    assert robot.state is ServerState.DISARMED
     assert "no command for 2 s" in robot.machine.reason
     robot.arm(OTHER, LEASE_NS + 2)
-    assert robot.state is EndpointState.HOLDING
+    assert robot.state is ServerState.HOLDING
 
 
-def test_older_chunk_does_not_overwrite_a_newer_one(robot: EndpointController) -> None:
+def test_older_chunk_does_not_overwrite_a_newer_one(robot: RobotController) -> None:
     robot.arm(OURS, 0)
     motion = motion_from(robot)
     assert robot.receive(payload(robot, motion, 20), OURS, 1, 0)
@@ -187,33 +187,33 @@ def test_older_chunk_does_not_overwrite_a_newer_one(robot: EndpointController) -
 
 
 def test_joint_far_from_its_command_is_a_fault_until_acknowledged(
-    robot: EndpointController, twin: WatchedTwin
+    robot: RobotController, twin: WatchedTwin
 ) -> None:
     robot.arm(OURS, 0)
     pushed = twin._data.qpos[twin.scene.arm_qpos] + 0.5
     twin._data.qpos[twin.scene.arm_qpos] = pushed
     run(robot, 1)
-    assert robot.state is EndpointState.FAULT
+    assert robot.state is ServerState.FAULT
     assert "rad from its command" in robot.machine.reason
     with pytest.raises(CommandRefusedError, match="fault"):
         robot.arm(OURS, 0)
     robot.stop("test")
-    assert robot.state is EndpointState.DISARMED
+    assert robot.state is ServerState.DISARMED
     # It is held where it is now, not pulled back to where it was.
     assert np.abs(np.array(robot.commanded_position()) - pushed).max() < 0.05
 
 
-def test_unphysical_simulation_is_a_fault(robot: EndpointController, twin: WatchedTwin) -> None:
+def test_unphysical_simulation_is_a_fault(robot: RobotController, twin: WatchedTwin) -> None:
     twin._data.qvel[:] = np.nan
     with pytest.raises(BackendFaultError, match="mjWARN"):
         twin.step(robot.plan.point(0))
     twin._data.qvel[:] = np.nan
     run(robot, 1)
-    assert robot.state is EndpointState.FAULT
+    assert robot.state is ServerState.FAULT
 
 
 def test_fault_while_moving_still_follows_the_tail(
-    robot: EndpointController, monkeypatch: pytest.MonkeyPatch
+    robot: RobotController, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     motion = start_moving(robot)
     run(robot, 9)
@@ -226,21 +226,21 @@ def test_fault_while_moving_still_follows_the_tail(
     monkeypatch.setattr(robot._backend, "step", broken)
     run(robot, 1)
     monkeypatch.undo()
-    assert robot.state is EndpointState.FAULT
+    assert robot.state is ServerState.FAULT
     with pytest.raises(CommandRefusedError, match="yet to come to rest"):
         robot.stop("test")
     robot.disarm(OURS)
-    assert robot.state is EndpointState.FAULT, "a moving arm cannot be acknowledged"
+    assert robot.state is ServerState.FAULT, "a moving arm cannot be acknowledged"
     run(robot, len(motion.q) + 10)
     assert_within_limits(np.array([t.q for t in robot._backend.targets]))
     robot.disarm(OURS)
-    assert robot.state is EndpointState.FAULT, "nor by its commander"
+    assert robot.state is ServerState.FAULT, "nor by its commander"
     robot.stop("test")
-    assert robot.state is EndpointState.DISARMED
+    assert robot.state is ServerState.DISARMED
 
 
 def test_an_arm_that_is_held_off_its_command_is_not_pulled_at(
-    robot: EndpointController, twin: WatchedTwin
+    robot: RobotController, twin: WatchedTwin
 ) -> None:
     """Somebody stands in the way, and then steps aside."""
     q0 = np.array(robot.commanded_position())
@@ -252,7 +252,7 @@ def test_an_arm_that_is_held_off_its_command_is_not_pulled_at(
 
     hold()
     run(robot, 1)
-    assert robot.state is EndpointState.FAULT
+    assert robot.state is ServerState.FAULT
     assert "from its command" in robot.machine.reason
     speeds = []
     for tick in range(150):
@@ -266,19 +266,19 @@ def test_an_arm_that_is_held_off_its_command_is_not_pulled_at(
 
 
 def test_a_measurement_that_is_no_number_is_a_fault(
-    robot: EndpointController, monkeypatch: pytest.MonkeyPatch
+    robot: RobotController, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     measured = robot._backend.arm_position()
     measured[2] = np.nan
     monkeypatch.setattr(robot._backend, "arm_position", lambda: measured)
     before = robot.commanded_position()
     run(robot, 1)
-    assert robot.state is EndpointState.FAULT
+    assert robot.state is ServerState.FAULT
     assert robot.commanded_position() == before
 
 
 @pytest.mark.parametrize("how", ["stop", "disarm", "lost"])
-def test_a_motion_that_has_not_begun_never_begins(robot: EndpointController, how: str) -> None:
+def test_a_motion_that_has_not_begun_never_begins(robot: RobotController, how: str) -> None:
     """A chunk may be due half a second from now."""
     robot.arm(OURS, 0)
     motion = motion_from(robot)
@@ -290,36 +290,36 @@ def test_a_motion_that_has_not_begun_never_begins(robot: EndpointController, how
         robot.disarm(OURS)
     else:
         run(robot, 1, LEASE_NS + 1)
-    assert robot.state is EndpointState.DISARMED
+    assert robot.state is ServerState.DISARMED
     run(robot, 120)
     assert np.ptp([t.q for t in robot._backend.targets], axis=0).max() == 0.0
 
 
-def test_silence_is_noticed_before_what_comes_after_it(robot: EndpointController) -> None:
-    """The endpoint itself may have been frozen: what was sent meanwhile waits for it."""
+def test_silence_is_noticed_before_what_comes_after_it(robot: RobotController) -> None:
+    """The robot server itself may have been frozen: what was sent meanwhile waits for it."""
     motion = motion_from(robot)
     robot.arm(OURS, 0)
     late = LEASE_NS + 1
     assert not robot.receive(payload(robot, motion, robot.tick_index + 3), OURS, 1, late)
-    assert robot.state is EndpointState.DISARMED
+    assert robot.state is ServerState.DISARMED
     start_moving(robot)
     run(robot, 10)
     with pytest.raises(CommandRefusedError, match="stopping"):
         robot.arm(OTHER, late)
-    assert robot.state is EndpointState.STOPPING
+    assert robot.state is ServerState.STOPPING
 
 
-def test_arming_again_shows_that_one_is_there(robot: EndpointController) -> None:
+def test_arming_again_shows_that_one_is_there(robot: RobotController) -> None:
     robot.arm(OURS + GRIPPER, 0)
     robot.arm(OURS + OTHER, LEASE_NS)
     run(robot, 1, 2 * LEASE_NS)
-    assert robot.state is EndpointState.HOLDING
+    assert robot.state is ServerState.HOLDING
     robot.open_gripper(0.01, OTHER)
     run(robot, 1, 2 * LEASE_NS + 1)
-    assert robot.state is EndpointState.DISARMED
+    assert robot.state is ServerState.DISARMED
 
 
-def test_strangers_cost_little(robot: EndpointController, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_strangers_cost_little(robot: RobotController, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing of their messages is decoded, and nothing long of anybody's."""
     start_moving(robot)
     decoded = []
@@ -343,7 +343,7 @@ def test_strangers_cost_little(robot: EndpointController, monkeypatch: pytest.Mo
 
 
 @pytest.mark.parametrize("text", ["\x1b[2J[/bold] over\n\u202eand out", "a" * 100_000])
-def test_what_strangers_say_is_told_in_one_short_line(robot: EndpointController, text: str) -> None:
+def test_what_strangers_say_is_told_in_one_short_line(robot: RobotController, text: str) -> None:
     start_moving(robot)
     run(robot, 10)
     robot.stop(text)
@@ -354,14 +354,14 @@ def test_what_strangers_say_is_told_in_one_short_line(robot: EndpointController,
         assert text[5:20].isprintable() is False or text[5:20] in told
 
 
-def test_the_longest_chunk_is_not_too_long(robot: EndpointController) -> None:
+def test_the_longest_chunk_is_not_too_long(robot: RobotController) -> None:
     rows = np.zeros((ValidationRules.max_points, 7))
     times = np.arange(len(rows), dtype=np.int64) * GRID_NS
     chunk = TrajectoryChunk(0, robot._backend.joint_names, times, rows, rows, rows)
     assert len(encode_chunk(chunk)) < MAX_CHUNK_BYTES
 
 
-def test_gripper_commands_name_their_joint(robot: EndpointController) -> None:
+def test_gripper_commands_name_their_joint(robot: RobotController) -> None:
     robot.arm(OURS, 0)
     finger, nothing = robot._backend.measure().names[7], np.zeros(0)
     for names in ((), ("yumi_joint_1_r",), (finger, "yumi_joint_1_r")):
@@ -376,13 +376,13 @@ def test_gripper_commands_name_their_joint(robot: EndpointController) -> None:
     assert robot.lease.gripper_holder == GRIPPER
 
 
-def test_a_scene_that_somebody_works_in_is_not_reset(robot: EndpointController) -> None:
+def test_a_scene_that_somebody_works_in_is_not_reset(robot: RobotController) -> None:
     robot.arm(OURS, 0)
     robot.reset_scene(1)
     motion = motion_from(robot)
     assert robot.receive(payload(robot, motion, robot.tick_index + 3), OURS, 1, 0)
     run(robot, len(motion.q) + 10)
-    assert robot.state is EndpointState.HOLDING
+    assert robot.state is ServerState.HOLDING
     with pytest.raises(CommandRefusedError, match="works in the scene"):
         robot.reset_scene(1)
     robot.disarm(OURS)
@@ -390,20 +390,20 @@ def test_a_scene_that_somebody_works_in_is_not_reset(robot: EndpointController) 
 
 
 def test_a_physics_fault_that_was_acknowledged_is_over(
-    robot: EndpointController, twin: WatchedTwin
+    robot: RobotController, twin: WatchedTwin
 ) -> None:
     twin._data.qvel[twin.scene.arm_dof] = 1e11
     run(robot, 1)
-    assert robot.state is EndpointState.FAULT
+    assert robot.state is ServerState.FAULT
     assert "the simulation raised" in robot.machine.reason
     twin._data.qvel[:] = 0.0
     run(robot, 50)
     robot.stop("test")
     run(robot, 5)
-    assert robot.state is EndpointState.DISARMED
+    assert robot.state is ServerState.DISARMED
 
 
-def test_scene_resets_at_rest_only(robot: EndpointController, twin: WatchedTwin) -> None:
+def test_scene_resets_at_rest_only(robot: RobotController, twin: WatchedTwin) -> None:
     start_moving(robot)
     run(robot, 10)
     with pytest.raises(CommandRefusedError, match="moving"):
@@ -417,7 +417,7 @@ def test_scene_resets_at_rest_only(robot: EndpointController, twin: WatchedTwin)
     assert robot.commanded_position() == pytest.approx(measured.position[:7], abs=1e-12)
 
 
-def test_gripper_obeys_the_commander_only(robot: EndpointController) -> None:
+def test_gripper_obeys_the_commander_only(robot: RobotController) -> None:
     with pytest.raises(CommandRefusedError, match="arm it first"):
         robot.open_gripper(0.01, GRIPPER)
     robot.arm(OURS + GRIPPER, 0)
@@ -433,11 +433,11 @@ def test_gripper_obeys_the_commander_only(robot: EndpointController) -> None:
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=200)
 @given(data=st.binary(max_size=300))
-def test_bytes_that_are_no_chunk_change_nothing(robot: EndpointController, data: bytes) -> None:
+def test_bytes_that_are_no_chunk_change_nothing(robot: RobotController, data: bytes) -> None:
     robot.arm(OURS, 0)
     assert not robot.receive(data, OURS, 1, 0)
     assert not robot.receive(b"\x00\x01\x00\x00" + data, OURS, 2, 0)
-    assert robot.state is EndpointState.HOLDING
+    assert robot.state is ServerState.HOLDING
     assert robot.plan.at_rest(robot.tick_index)
 
 

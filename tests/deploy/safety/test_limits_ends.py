@@ -134,7 +134,7 @@ def test_whoever_uses_the_freedom_at_an_end_is_refused(where: str, order: int) -
 
 
 def follow(first: list[Array], second: list[Array]) -> None:
-    """Judge a chunk from rest, and one that is spliced into it, as an endpoint does."""
+    """Judge a chunk from rest, and one that is spliced into it, as a robot server does."""
     plan = PlanExecutor(MIDDLE, 10)
     rest = MIDDLE, np.zeros(7), np.zeros(7)
     CHECKER.check(*first, previous=rest, earlier=plan.before(10))

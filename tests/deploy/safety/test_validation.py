@@ -1,4 +1,4 @@
-"""What the endpoint refuses: dense around every rule, starting from a chunk that it accepts."""
+"""What the robot server refuses: dense around every rule, starting from a chunk that it accepts."""
 
 from __future__ import annotations
 

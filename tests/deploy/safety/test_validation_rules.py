@@ -1,4 +1,4 @@
-"""Each rule of the endpoint alone, dense around its bound; the bounds written out once more."""
+"""Each rule of the robot server alone, dense around its bound; the bounds written out once more."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def test_every_tick_around_now() -> None:
             assert check_time(chunk, RULES, NOW) == tick
         elif tick < NOW:
             late_ms = 4 * (NOW - tick)
-            expected = f"^stamp is {late_ms} ms in the past of the endpoint's clock$"
+            expected = f"^stamp is {late_ms} ms in the past of the robot server's clock$"
             with pytest.raises(BrokenStreamError, match=expected):
                 check_time(chunk, RULES, NOW)
         else:
@@ -119,7 +119,7 @@ def test_every_tick_around_now() -> None:
                 check_time(chunk, RULES, NOW)
             assert type(caught.value) is CommandRefusedError, "not a stream to be taken up again"
             assert str(caught.value) == (
-                f"stamp is {4 * (tick - NOW)} ms ahead of the endpoint's clock; "
+                f"stamp is {4 * (tick - NOW)} ms ahead of the robot server's clock; "
                 "at most 500 ms are allowed"
             )
 
@@ -163,7 +163,7 @@ def test_commands_without_a_place_in_the_plan_are_at_most_two_seconds_old() -> N
             with pytest.raises(CommandRefusedError) as caught:
                 check_fresh(clock_ns - sign * age_ns, clock_ns)
             assert str(caught.value) == (
-                f"the command is {sign * age_ns / 10**9:.6g} s old by the endpoint's clock; "
+                f"the command is {sign * age_ns / 10**9:.6g} s old by the robot server's clock; "
                 "at most 2 s are allowed"
             )
 
@@ -188,7 +188,7 @@ def test_splice_tolerances(field: str, what: str, unit: str, tolerance: float) -
             check_splice(chunk, plan, RULES)
         assert str(caught.value) == (
             f"splice: {what} of {NAMES[joint]} steps by {factor * tolerance:.3g} {unit} "
-            f"from the endpoint's plan (tolerance {tolerance:g})"
+            f"from the robot server's plan (tolerance {tolerance:g})"
         )
 
 

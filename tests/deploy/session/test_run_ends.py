@@ -25,16 +25,16 @@ from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.recording import recorder as recorder_module
 from skewmi.deploy.recording.reader import read_recording
 from skewmi.deploy.report import DeployReport
-from skewmi.deploy.robot import process as endpoint_process
-from skewmi.deploy.robot import run as endpoint_run
+from skewmi.deploy.robot import process as robot_process
+from skewmi.deploy.robot import run as robot_run
 from skewmi.deploy.robot.backend import BackendFaultError
 from skewmi.deploy.robot.backends.mujoco.backend import SimTwin
-from skewmi.deploy.robot.description import EndpointDescription
-from skewmi.deploy.robot.process import free_port, sim_endpoint_process
-from skewmi.deploy.robot.run import SimEndpointOptions, run_sim_endpoint
-from skewmi.deploy.robot.server import EndpointServer
+from skewmi.deploy.robot.description import RobotDescription
+from skewmi.deploy.robot.process import free_port, simulated_robot_process
+from skewmi.deploy.robot.run import SimulatedRobotOptions, run_simulated_robot
+from skewmi.deploy.robot.server import RobotServer
 from skewmi.deploy.run import run_deploy
-from skewmi.deploy.session import session as daemon_module
+from skewmi.deploy.session import session as session_module
 from skewmi.deploy.session.episode import action_cycles
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.transport import Link, TransportConfig
@@ -72,19 +72,19 @@ def give_up() -> None:
 
 @pytest.fixture(scope="module")
 def lock_step_robot() -> Iterator[str]:
-    with sim_endpoint_process("open_press_close", "lab", lock_step=True) as locator:
+    with simulated_robot_process("open_press_close", "lab", lock_step=True) as locator:
         yield locator
 
 
 @contextmanager
 def robot_in_a_thread(*, lock_step: bool = False) -> Iterator[str]:
-    """An endpoint in this process, so that a test can get at its parts."""
+    """A robot server in this process, so that a test can get at its parts."""
     locator = f"tcp/127.0.0.1:{free_port()}"
-    config = TransportConfig.for_endpoint(locator, lock_step=lock_step)
+    config = TransportConfig.for_robot(locator, lock_step=lock_step)
     stop, ready = threading.Event(), threading.Event()
-    options = SimEndpointOptions(joint_limits.profile("lab"), lock_step=lock_step)
+    options = SimulatedRobotOptions(joint_limits.profile("lab"), lock_step=lock_step)
     thread = threading.Thread(
-        target=run_sim_endpoint, args=(config, options, stop, lambda _: ready.set())
+        target=run_simulated_robot, args=(config, options, stop, lambda _: ready.set())
     )
     thread.start()
     assert ready.wait(20.0)
@@ -98,17 +98,17 @@ def robot_in_a_thread(*, lock_step: bool = False) -> Iterator[str]:
 
 def call(locator: str, service: topics.Service, extra: bytes = b"") -> tuple[bool, str]:
     with Link.open(TransportConfig.for_client(locator), f"test_{time.monotonic_ns()}") as link:
-        link.wait_for_endpoint(5.0)
+        link.wait_for_robot(5.0)
         reply = link.call(service, 5.0, extra)
         return reply.success, reply.message
 
 
-def describe(locator: str) -> EndpointDescription:
-    return EndpointDescription.from_json(call(locator, topics.YUMI_DESCRIBE)[1])
+def describe(locator: str) -> RobotDescription:
+    return RobotDescription.from_json(call(locator, topics.YUMI_DESCRIBE)[1])
 
 
 def test_a_stop_between_two_episodes_ends_the_run(lock_step_robot: str) -> None:
-    """The endpoint is disarmed then: the stop changes no state that anybody could see."""
+    """The robot server is disarmed then: the stop changes no state that anybody could see."""
 
     def on_event(text: str) -> None:
         if text.startswith("episode 1"):
@@ -160,7 +160,7 @@ def test_a_run_that_lost_the_arm_does_not_stop_whoever_took_it() -> None:
 
 
 @pytest.mark.parametrize("lock_step", [True, False])
-def test_an_endpoint_that_is_ended_in_a_fault_follows_the_plan_to_rest_first(
+def test_an_robot_server_that_is_ended_in_a_fault_follows_the_plan_to_rest_first(
     lock_step: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ended, crashes, targets = threading.Event(), [], []
@@ -176,14 +176,14 @@ def test_an_endpoint_that_is_ended_in_a_fault_follows_the_plan_to_rest_first(
                 ended.set()
                 raise BackendFaultError("drive 3 over temperature")
 
-    monkeypatch.setattr(endpoint_run, "SimTwin", Failing)
+    monkeypatch.setattr(robot_run, "SimTwin", Failing)
     locator = f"tcp/127.0.0.1:{free_port()}"
-    config = TransportConfig.for_endpoint(locator, lock_step=lock_step)
-    options = SimEndpointOptions(joint_limits.profile("lab"), lock_step=lock_step)
+    config = TransportConfig.for_robot(locator, lock_step=lock_step)
+    options = SimulatedRobotOptions(joint_limits.profile("lab"), lock_step=lock_step)
 
     def serve() -> None:
         try:
-            run_sim_endpoint(config, options, ended, lambda _: ready.set())
+            run_simulated_robot(config, options, ended, lambda _: ready.set())
         except Exception as error:
             crashes.append(error)
 
@@ -194,7 +194,7 @@ def test_an_endpoint_that_is_ended_in_a_fault_follows_the_plan_to_rest_first(
     thread.join(20.0)
     assert not thread.is_alive()
     assert crashes == []
-    assert len(targets) > 5, "the arm was moving when the endpoint was ended"
+    assert len(targets) > 5, "the arm was moving when the robot server was ended"
     # Its last sample, at rest, is due when the loop ends.
     np.testing.assert_allclose(targets[-1], targets[-2], atol=1e-4)
 
@@ -212,7 +212,7 @@ def test_a_fault_stays_until_somebody_acknowledges_it(
                 hot.clear()
                 raise BackendFaultError("drive 3 over temperature")
 
-    monkeypatch.setattr(endpoint_run, "SimTwin", Failing)
+    monkeypatch.setattr(robot_run, "SimTwin", Failing)
     with robot_in_a_thread(lock_step=lock_step) as robot:
         options = DeployOptions(episodes=2, connect=robot, lock_step=lock_step)
         report = run_deploy(FewSteps(10, hot.set), options)
@@ -237,14 +237,14 @@ def test_a_silent_scene_is_noticed_between_two_control_steps(
 ) -> None:
     """At a tenth of the speed they are a second apart; 200 ms are allowed."""
     silent = threading.Event()
-    publish = EndpointServer._publish_states
+    publish = RobotServer._publish_states
 
-    def publish_states(server: EndpointServer) -> None:
+    def publish_states(server: RobotServer) -> None:
         if silent.is_set():
             server._scene_states.put = lambda payload: None
         publish(server)
 
-    monkeypatch.setattr(EndpointServer, "_publish_states", publish_states)
+    monkeypatch.setattr(RobotServer, "_publish_states", publish_states)
     with robot_in_a_thread() as robot:
         report = run_deploy(FewSteps(3, silent.set), DeployOptions(connect=robot, speed=0.1))
     (reason,) = report.stops
@@ -258,7 +258,7 @@ def test_an_interrupt_before_an_episode_begins_moves_nothing_and_is_told(
     lock_step_robot: str, record: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stop = threading.Event()
-    ways, check_way = [], daemon_module.check_way
+    ways, check_way = [], session_module.check_way
 
     def check_and_interrupt(*arguments) -> None:
         ways.append(1)
@@ -266,7 +266,7 @@ def test_an_interrupt_before_an_episode_begins_moves_nothing_and_is_told(
         if len(ways) == 2:
             stop.set()
 
-    monkeypatch.setattr(daemon_module, "check_way", check_and_interrupt)
+    monkeypatch.setattr(session_module, "check_way", check_and_interrupt)
     path = tmp_path / "run.mcap" if record else None
     policy = FewSteps(7, give_up)
     options = DeployOptions(episodes=3, connect=lock_step_robot, lock_step=True, record=path)
@@ -335,15 +335,15 @@ def test_an_interrupt_while_the_robot_starts_leaves_no_timer(
             self.stdout = Interrupted()
             children.append(self)
 
-    monkeypatch.setattr(endpoint_process.subprocess, "Popen", Child)
+    monkeypatch.setattr(robot_process.subprocess, "Popen", Child)
     with (
         pytest.raises(KeyboardInterrupt),
-        sim_endpoint_process("open_press_close", "lab", lock_step=True),
+        simulated_robot_process("open_press_close", "lab", lock_step=True),
     ):
         pass
     assert children[0].poll() is not None
     timers = [t for t in threading.enumerate() if isinstance(t, threading.Timer)]
-    assert all(timer.daemon for timer in timers)
+    assert all(timer.session for timer in timers)
     assert all(timer.finished.is_set() for timer in timers)
 
 

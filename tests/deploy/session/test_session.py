@@ -1,4 +1,4 @@
-"""`skewmi deploy` with real policy files, and the parts of the daemon that need no robot."""
+"""`skewmi deploy` with real policy files, and the parts of the session that need no robot."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ import torch
 from skewmi.cli.main import main
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.realtime import hot_loop
-from skewmi.deploy.robot.description import EndpointDescription, limit_values
-from skewmi.deploy.robot.process import free_port, sim_endpoint_process
+from skewmi.deploy.robot.description import RobotDescription, limit_values
+from skewmi.deploy.robot.process import free_port, simulated_robot_process
 from skewmi.deploy.safety.checks import ChunkChecks
 from skewmi.deploy.safety.guard import Guard
 from skewmi.deploy.session.preflight import (
@@ -180,7 +180,7 @@ def test_bad_flags_are_one_line(
 def test_run_that_was_stopped_exits_1_and_tells_why(
     tiny: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with sim_endpoint_process("open_press_close", "lab", lock_step=False) as locator:
+    with simulated_robot_process("open_press_close", "lab", lock_step=False) as locator:
         stopper = threading.Timer(3.0, lambda: main(["stop", "--json", "--connect", locator]))
         stopper.start()
         arguments = ["deploy", str(tiny), "--connect", locator, "--episodes", "2", "--json"]
@@ -194,7 +194,7 @@ def test_run_that_was_stopped_exits_1_and_tells_why(
     assert "skewmi stop" in report["stops"][0]
 
 
-def test_endpoint_tells_each_change_of_state_and_what_it_was_granted(tiny: Path) -> None:
+def test_robot_server_tells_each_change_of_state_and_what_it_was_granted(tiny: Path) -> None:
     locator = f"tcp/127.0.0.1:{free_port()}"
     command = [sys.executable, "-m", "skewmi.cli.main", "robot", "--listen", locator, "--json"]
     robot = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -202,7 +202,7 @@ def test_endpoint_tells_each_change_of_state_and_what_it_was_granted(tiny: Path)
         assert robot.stdout is not None
         assert json.loads(robot.stdout.readline())["state"] == "disarmed"
         with Link.open(TransportConfig.for_client(locator), "test") as link:
-            link.wait_for_endpoint(5.0)
+            link.wait_for_robot(5.0)
             assert link.call(topics.YUMI_ARM, 5.0, bytes(32)).success
             assert link.call(topics.YUMI_STOP, 5.0, b"the test").success
     finally:
@@ -234,8 +234,8 @@ def test_interrupted_command_exits_130(tiny: Path, number: signal.Signals) -> No
         assert json.loads(out)["interrupted"]
 
 
-def description(**changes: Any) -> EndpointDescription:
-    base = EndpointDescription(
+def description(**changes: Any) -> RobotDescription:
+    base = RobotDescription(
         backend="sim",
         task="open_press_close",
         layout_hashes=(make_layout().hash(),),
@@ -257,13 +257,13 @@ def description(**changes: Any) -> EndpointDescription:
 
 
 def test_descriptions_survive_the_wire_at_full_precision() -> None:
-    assert EndpointDescription.from_json(description().to_json()) == description()
+    assert RobotDescription.from_json(description().to_json()) == description()
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[]", "null", '{"backend": "sim"}'])
 def test_what_is_no_description_is_refused(text: str) -> None:
     with pytest.raises(TransportError, match="description"):
-        EndpointDescription.from_json(text)
+        RobotDescription.from_json(text)
 
 
 def test_agreement_passes_only_if_everything_agrees() -> None:

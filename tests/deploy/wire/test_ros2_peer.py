@@ -1,7 +1,7 @@
 """The ROS 2 face, seen by independent peers in another process.
 
 `ros2_peer` runs zenoh-ros2-sdk, rosbags and mcap_ros2 without skewmi. It meets a robot process
-and a daemon process as users start them.
+and a session process as users start them.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ ROBOT_SENDS = {
     "/yumi/scene_states": STATE,
     "/yumi/status": DIAGNOSTICS,
 }
-DAEMON_SENDS = {
+SESSION_SENDS = {
     COMMANDS: TRAJECTORY,
     "/yumi/right/gripper": STATE,
     "/yumi/status": DIAGNOSTICS,
@@ -79,7 +79,7 @@ def test_peer_runs_nothing_of_ours_and_computes_the_published_type_hashes(peer: 
         if type_name != TRIGGER:
             assert peer.subscribe(f"/elsewhere/{number}", type_name) == expected
     names = {topic.name for topic in topics.TOPICS}
-    assert names == {*ROBOT_SENDS, *DAEMON_SENDS}, "a topic that no peer looks at"
+    assert names == {*ROBOT_SENDS, *SESSION_SENDS}, "a topic that no peer looks at"
     assert {service.name for service in topics.SERVICES} == set(SERVICES)
 
 
@@ -106,8 +106,8 @@ def test_peer_sees_topics_types_and_qos_of_the_robot(peer: Peer) -> None:
         assert without_hash(seen["publishers"]) == [entity("skewmi_robot", type_name)]
     for name in (COMMANDS, "/yumi/right/gripper"):
         seen = graph["topics"][name]
-        assert seen["types"] == [DAEMON_SENDS[name]]
-        expected = entity("skewmi_robot", DAEMON_SENDS[name])
+        assert seen["types"] == [SESSION_SENDS[name]]
+        expected = entity("skewmi_robot", SESSION_SENDS[name])
         assert without_hash(seen["subscribers"]) == [expected]
     for name in SERVICES:
         assert graph["services"][name]["types"] == [TRIGGER]
@@ -145,19 +145,19 @@ def test_peer_decodes_everything_the_robot_sends(peer: Peer) -> None:
     eventually(enough)
     tokens = peer.ask("graph")["tokens"]
     received = {t: check_stream(t, "skewmi_robot", s, tokens) for t, s in taken.items()}
-    endpoint = peer.describe()
+    server = peer.describe()
     states = received["/yumi/joint_states"]
     stamps = [m["header"]["stamp"]["sec"] * 10**9 + m["header"]["stamp"]["nanosec"] for m in states]
-    assert set(np.diff(stamps)) == {endpoint["state_period_ns"]}
+    assert set(np.diff(stamps)) == {server["state_period_ns"]}
     for message in states:
-        assert message["name"] == [*endpoint["joint_names"], "gripper_r_joint"]
+        assert message["name"] == [*server["joint_names"], "gripper_r_joint"]
         assert len(message["position"]) == len(message["velocity"]) == len(message["effort"]) == 8
-    commanded = endpoint["commanded_position"]
+    commanded = server["commanded_position"]
     np.testing.assert_allclose(states[-1]["position"][:7], commanded, atol=5e-3)
     assert received["/yumi/scene_states"][-1]["name"] == ["lid_hinge", "button_slide"]
     (status,) = received["/yumi/status"][-1]["status"]
     assert (status["name"], status["hardware_id"]) == ("skewmi_robot", "yumi")
-    assert status["message"].startswith(endpoint["state"])
+    assert status["message"].startswith(server["state"])
 
 
 @pytest.mark.parametrize("service", SERVICES)
@@ -176,7 +176,7 @@ def test_replies_are_canonical_and_answer_the_client_that_asked(peer: Peer, serv
 def test_peer_serves_our_calls(peer: Peer) -> None:
     """The other way round: a request of ours in the SDK's hands."""
     locator = f"tcp/127.0.0.1:{free_port()}"
-    with Link.open(TransportConfig.for_endpoint(locator), "caller") as link:
+    with Link.open(TransportConfig.for_robot(locator), "caller") as link:
         server = Peer(int(locator.rpartition(":")[2]))
         try:
             server.ask("serve", service="/elsewhere/trigger", message="Grüße")
@@ -190,14 +190,14 @@ def test_peer_serves_our_calls(peer: Peer) -> None:
             server.close()
 
 
-def test_peer_sees_and_decodes_everything_the_daemon_sends(locator: str, peer: Peer) -> None:
+def test_peer_sees_and_decodes_everything_the_session_sends(locator: str, peer: Peer) -> None:
     peer.call("/yumi/stop")
-    for topic, type_name in DAEMON_SENDS.items():
+    for topic, type_name in SESSION_SENDS.items():
         peer.subscribe(topic, type_name)
     name = sorted(policies.bundled())[0]
     command = [sys.executable, "-m", "skewmi.cli.main", "deploy", name, "--connect", locator]
-    daemon = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    taken: dict[str, list[Message]] = {topic: [] for topic in DAEMON_SENDS}
+    session = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    taken: dict[str, list[Message]] = {topic: [] for topic in SESSION_SENDS}
     graphs: list[Message] = []
 
     def enough() -> bool:
@@ -210,11 +210,11 @@ def test_peer_sees_and_decodes_everything_the_daemon_sends(locator: str, peer: P
     try:
         eventually(enough, 60.0)
     finally:
-        daemon.send_signal(signal.SIGINT)
-        daemon.wait(30.0)
+        session.send_signal(signal.SIGINT)
+        session.wait(30.0)
     (graph,) = graphs
     (node,) = {e["node"] for e in graph["topics"]["/skewmi/policy_action"]["publishers"]}
-    for topic, type_name in DAEMON_SENDS.items():
+    for topic, type_name in SESSION_SENDS.items():
         assert entity(node, type_name) in without_hash(graph["topics"][topic]["publishers"])
     # The robot tells its status on the same topic.
     taken["/yumi/status"] = [

@@ -41,12 +41,12 @@ def peer() -> Iterator[Peer]:
 def commander(peer: Peer) -> str:
     """The peer's publisher of commands: its gid, hexadecimal."""
     declared = peer.ask("publisher", topic=COMMANDS, type_name=TRAJECTORY)
-    assert declared["matching"], "the endpoint's subscription is not seen"
+    assert declared["matching"], "the robot server's subscription is not seen"
     return str(declared["gid"])
 
 
 def armed(peer: Peer) -> Message:
-    """Arm anew, the arm at the start of an episode; what the endpoint then says about itself."""
+    """Arm anew, the arm at the start of an episode; what the server then says about itself."""
     peer.call("/yumi/stop")
     eventually(lambda: peer.describe()["state"] == "disarmed")
     assert peer.call("/yumi/scene/reset")[0]
@@ -57,32 +57,32 @@ def armed(peer: Peer) -> Message:
 
 
 def test_trajectory_that_keeps_the_rules_is_executed(peer: Peer, commander: str) -> None:
-    endpoint = armed(peer)
+    server = armed(peer)
     before = peer.position()
-    peer.ask("publish", topic=COMMANDS, message=trajectory(endpoint, STEP))
+    peer.ask("publish", topic=COMMANDS, message=trajectory(server, STEP))
     moving = eventually(lambda: [s for s in peer.statuses() if s["state"] == "executing"])
     assert moving[0]["commander"] == commander
     eventually(lambda: peer.describe()["state"] == "holding")
     np.testing.assert_allclose(peer.position()[:7] - before[:7], STEP, atol=5e-3)
     np.testing.assert_allclose(
-        peer.describe()["commanded_position"], endpoint["commanded_position"] + STEP, atol=1e-12
+        peer.describe()["commanded_position"], server["commanded_position"] + STEP, atol=1e-12
     )
 
 
 def test_stop_by_a_peer_brakes_the_arm_on_its_way(peer: Peer, commander: str) -> None:
-    endpoint = armed(peer)
-    peer.ask("publish", topic=COMMANDS, message=trajectory(endpoint, STEP, 1.5))
-    start = np.array(endpoint["commanded_position"])
+    server = armed(peer)
+    peer.ask("publish", topic=COMMANDS, message=trajectory(server, STEP, 1.5))
+    start = np.array(server["commanded_position"])
     eventually(lambda: np.abs(peer.position()[:7] - start).max() > 0.01)
     assert peer.call("/yumi/stop") == (True, "stopping")
     eventually(lambda: peer.describe()["state"] == "disarmed")
 
 
 def test_gripper_obeys_a_peer(peer: Peer, commander: str) -> None:
-    endpoint = armed(peer)
+    server = armed(peer)
     peer.ask("publisher", topic="/yumi/right/gripper", type_name=STATE)
     opening = {"name": ["gripper_r_joint"], "position": [0.02], "velocity": [], "effort": []}
-    message = {"header": header(endpoint["clock_ns"]), **opening}
+    message = {"header": header(server["clock_ns"]), **opening}
     # The SDK counts from 0, where rmw_zenoh counts from 1.
     assert peer.ask("publish", topic="/yumi/right/gripper", message=message) == {"sequence": 0}
     eventually(lambda: abs(peer.position()[7] - 0.02) < 1e-3)
@@ -91,23 +91,23 @@ def test_gripper_obeys_a_peer(peer: Peer, commander: str) -> None:
 
 def changed(**new: Any) -> Callable[[Message], Message]:
     """A good trajectory with other contents at its top."""
-    return lambda endpoint: trajectory(endpoint, STEP) | new
+    return lambda server: trajectory(server, STEP) | new
 
 
 def at_point(index: int, **new: Any) -> Callable[[Message], Message]:
     """A good trajectory with one point changed."""
 
-    def make(endpoint: Message) -> Message:
-        message = trajectory(endpoint, STEP)
+    def make(server: Message) -> Message:
+        message = trajectory(server, STEP)
         message["points"][index] |= new
         return message
 
     return make
 
 
-def reordered(endpoint: Message) -> Message:
+def reordered(server: Message) -> Message:
     """Joints in the order of their numbers, as on a data sheet: every value still with its name."""
-    message = trajectory(endpoint, STEP)
+    message = trajectory(server, STEP)
     order = sorted(range(7), key=lambda joint: message["joint_names"][joint])
     message["joint_names"] = [message["joint_names"][joint] for joint in order]
     for point in message["points"]:
@@ -119,21 +119,21 @@ def reordered(endpoint: Message) -> Message:
 def moved(joint: int, change: float, duration_s: float) -> Callable[[Message], Message]:
     """One joint alone, smoothly, towards the side with more room."""
 
-    def make(endpoint: Message) -> Message:
-        limits, q = endpoint["limits"], endpoint["commanded_position"][joint]
+    def make(server: Message) -> Message:
+        limits, q = server["limits"], server["commanded_position"][joint]
         up = limits["position_upper"][joint] - q > q - limits["position_lower"][joint]
-        return trajectory(endpoint, (change if up else -change) * np.eye(7)[joint], duration_s)
+        return trajectory(server, (change if up else -change) * np.eye(7)[joint], duration_s)
 
     return make
 
 
-def begun_elsewhere(endpoint: Message) -> Message:
-    here = np.array(endpoint["commanded_position"])
-    return trajectory(endpoint | {"commanded_position": here + 0.01}, STEP)
+def begun_elsewhere(server: Message) -> Message:
+    here = np.array(server["commanded_position"])
+    return trajectory(server | {"commanded_position": here + 0.01}, STEP)
 
 
-def cut_short(endpoint: Message) -> Message:
-    message = trajectory(endpoint, STEP)
+def cut_short(server: Message) -> Message:
+    message = trajectory(server, STEP)
     return message | {"points": message["points"][: len(message["points"]) // 2]}
 
 
@@ -147,23 +147,23 @@ BROKEN_RULES: dict[str, tuple[Callable[[Message], Message], str]] = {
     "no points": (changed(points=[]), "2 to 500 points; this has 0"),
     "point off the grid": (at_point(9, time_from_start=duration(35_000_000)), "times 4 ms"),
     "stamp off the grid": (
-        lambda endpoint: trajectory(endpoint, STEP, ahead_ns=401_000_000),
+        lambda server: trajectory(server, STEP, ahead_ns=401_000_000),
         "not a multiple of the grid",
     ),
     "too late": (
-        lambda endpoint: trajectory(endpoint, STEP, ahead_ns=-400_000_000),
-        "in the past of the endpoint's clock",
+        lambda server: trajectory(server, STEP, ahead_ns=-400_000_000),
+        "in the past of the robot server's clock",
     ),
     "too early": (
-        lambda endpoint: trajectory(endpoint, STEP, ahead_ns=20_000_000_000),
-        "ahead of the endpoint's clock; at most 500 ms",
+        lambda server: trajectory(server, STEP, ahead_ns=20_000_000_000),
+        "ahead of the robot server's clock; at most 500 ms",
     ),
-    "too long": (lambda endpoint: trajectory(endpoint, STEP, 2.4), "2 to 500 points; this has 601"),
-    "far too long": (lambda endpoint: trajectory(endpoint, STEP, 3.0), "bytes; at most 131072"),
+    "too long": (lambda server: trajectory(server, STEP, 2.4), "2 to 500 points; this has 601"),
+    "far too long": (lambda server: trajectory(server, STEP, 3.0), "bytes; at most 131072"),
     "does not end at rest": (cut_short, "must end at rest"),
     "jump at the start": (begun_elsewhere, "splice: position of yumi_joint_1_r steps by 0.01 rad"),
     "jump on the way": (
-        lambda endpoint: at_point(125, positions=endpoint["commanded_position"])(endpoint),
+        lambda server: at_point(125, positions=server["commanded_position"])(server),
         "joint velocity: .* is outside the bound",
     ),
     "not a number": (at_point(9, positions=[float("nan")] * 7), "positions hold .* not finite"),
@@ -184,8 +184,8 @@ def test_trajectory_that_breaks_a_rule_is_refused_with_the_reason(
     make, reason = BROKEN_RULES[rule]
     armed(peer)
     earlier = eventually(lambda: [s for s in peer.statuses() if s.get("event") == "arm"])[0]
-    endpoint = peer.describe()
-    peer.ask("publish", topic=COMMANDS, message=make(endpoint))
+    server = peer.describe()
+    peer.ask("publish", topic=COMMANDS, message=make(server))
     told = eventually(lambda: [s for s in peer.statuses() if s["refusal"]])[0]
     assert re.search(reason, told["refusal"]), told["refusal"]
     assert told["level"] == 1
@@ -193,7 +193,7 @@ def test_trajectory_that_breaks_a_rule_is_refused_with_the_reason(
     assert int(told["refused"]) == int(earlier["refused"]) + 1
     after = peer.describe()
     assert after["state"] == "holding"
-    assert after["commanded_position"] == endpoint["commanded_position"]
+    assert after["commanded_position"] == server["commanded_position"]
 
 
 def test_arm_stays_where_it_is_through_all_of_them(peer: Peer, commander: str) -> None:
@@ -216,12 +216,12 @@ def test_arm_stays_where_it_is_through_all_of_them(peer: Peer, commander: str) -
 
 def test_second_peer_does_not_get_the_arm(peer: Peer, commander: str) -> None:
     other = peer.ask("publisher", topic=COMMANDS, type_name=TRAJECTORY, name="other")["gid"]
-    endpoint = armed(peer)
-    peer.ask("publish", topic=COMMANDS, message=trajectory(endpoint, STEP))
+    server = armed(peer)
+    peer.ask("publish", topic=COMMANDS, message=trajectory(server, STEP))
     eventually(lambda: [s for s in peer.statuses() if s["commander"] == commander])
     success, reason = peer.call("/yumi/arm")
     assert not success
     assert f"commander {commander[:8]} holds the arm" in reason
-    peer.ask("publish", topic=COMMANDS, message=trajectory(endpoint, STEP), name="other")
+    peer.ask("publish", topic=COMMANDS, message=trajectory(server, STEP), name="other")
     told = eventually(lambda: [s for s in peer.statuses() if s["refusal"]])
     assert f"{other[:8]} is not the commander {commander[:8]}" in told[0]["refusal"]

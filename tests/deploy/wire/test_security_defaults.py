@@ -33,8 +33,8 @@ file = Path(file) if file else None
 if kind == "zenoh alone":
     config = zenoh.Config()
     config.insert_json5("listen/endpoints", json.dumps([f"tcp/[::]:{port}"]))
-elif kind == "endpoint":
-    config = TransportConfig.for_endpoint(zenoh_config=file).zenoh()
+elif kind == "server":
+    config = TransportConfig.for_robot(zenoh_config=file).zenoh()
     # Where it listens by default, but for the port, which another test may be using.
     where = json.loads(config.get_json("listen/endpoints"))
     moved = [locator.replace(":7447", f":{port}") for locator in where]
@@ -99,16 +99,16 @@ def test_by_default_only_loopback_is_listened_on_and_nothing_is_searched(tmp_pat
     empty.write_text("{}")
     for file in (None, empty):
         port = free_port()
-        endpoint = start("endpoint", port, file)
+        server = start("server", port, file)
         try:
-            assert sockets(endpoint.pid) == ({("127.0.0.1", port)}, set())
+            assert sockets(server.pid) == ({("127.0.0.1", port)}, set())
             client = start("client", port, file)
             try:
                 assert sockets(client.pid) == (set(), set())
             finally:
                 end(client)
         finally:
-            end(endpoint)
+            end(server)
 
 
 @needs_proc
@@ -130,24 +130,24 @@ def test_robot_commands_listen_only_where_they_are_told_to(tmp_path: Path) -> No
     with robot_process("--listen", f"tcp/127.0.0.1:{port}") as plain:
         assert sockets(plain.pid) == ({("127.0.0.1", port)}, set())
     link = SecuredLink(tmp_path, host="127.0.0.1")
-    with robot_process("--zenoh-config", str(link.file(Role.ENDPOINT))) as secured:
+    with robot_process("--zenoh-config", str(link.file(Role.ROBOT))) as secured:
         assert sockets(secured.pid) == ({("127.0.0.1", link.plan.port)}, set())
 
 
 def test_what_a_file_says_is_kept_and_what_it_leaves_open_is_safe(tmp_path: Path) -> None:
     file = tmp_path / "zenoh.json5"
-    file.write_text('{listen: {endpoints: ["tcp/10.0.0.7:1"]}, connect: {timeout_ms: 77}}')
-    endpoint = TransportConfig.for_endpoint(zenoh_config=file)
-    config = endpoint.zenoh()
+    file.write_text('{listen: {robot servers: ["tcp/10.0.0.7:1"]}, connect: {timeout_ms: 77}}')
+    server = TransportConfig.for_robot(zenoh_config=file)
+    config = server.zenoh()
     assert json.loads(config.get_json("listen/endpoints")) == ["tcp/10.0.0.7:1"]
     assert json.loads(config.get_json("connect/timeout_ms")) == 77
     assert json.loads(config.get_json("mode")) == "router"
-    assert endpoint.where == "tcp/10.0.0.7:1"
-    assert endpoint.unprotected == ("tcp/10.0.0.7:1",)
+    assert server.where == "tcp/10.0.0.7:1"
+    assert server.unprotected == ("tcp/10.0.0.7:1",)
     for kind in ("multicast", "gossip"):
         assert config.get_json(f"scouting/{kind}/enabled") == "false"
     file.write_text("{scouting: {multicast: {enabled: true}}}")
-    config = TransportConfig.for_endpoint(zenoh_config=file).zenoh()
+    config = TransportConfig.for_robot(zenoh_config=file).zenoh()
     assert config.get_json("scouting/multicast/enabled") == "true", "asked for in so many words"
     assert json.loads(config.get_json("listen/endpoints")) == ["tcp/127.0.0.1:7447"]
     client = TransportConfig.for_client(zenoh_config=file)
@@ -175,7 +175,7 @@ def test_what_a_file_says_is_kept_and_what_it_leaves_open_is_safe(tmp_path: Path
     ],
 )
 def test_open_doors_are_recognised(locator: str, unprotected: bool) -> None:
-    assert TransportConfig.for_endpoint(locator).unprotected == ((locator,) if unprotected else ())
+    assert TransportConfig.for_robot(locator).unprotected == ((locator,) if unprotected else ())
 
 
 @pytest.mark.parametrize("protocol", ["tls", "quic"])
@@ -197,10 +197,10 @@ def test_tls_protects_only_if_it_asks_for_certificates(
     locator = f"{protocol}/0.0.0.0:7447{own}"
     file = tmp_path / "zenoh.json5"
     file.write_text(
-        f'{{listen: {{endpoints: ["{locator}", "{protocol}/127.0.0.1:7448"]}}, '
+        f'{{listen: {{robot servers: ["{locator}", "{protocol}/127.0.0.1:7448"]}}, '
         f"transport: {{link: {{tls: {{enable_mtls: {mutual}}}}}}}}}"
     )
-    config = TransportConfig.for_endpoint(zenoh_config=file)
+    config = TransportConfig.for_robot(zenoh_config=file)
     assert config.unprotected == ((locator,) if unprotected else ())
 
 
@@ -212,12 +212,12 @@ def test_zenoh_lets_in_without_certificate_where_we_say_so(
     tmp_path: Path, mutual: bool, own: str, let_in: bool
 ) -> None:
     link = SecuredLink(tmp_path)
-    text = link.file(Role.ENDPOINT).read_text()
+    text = link.file(Role.ROBOT).read_text()
     content = json.loads(text[text.index("{") :])
     content["transport"]["link"]["tls"]["enable_mtls"] = mutual
     content["listen"]["endpoints"][0] += own
     del content["access_control"]
-    file = link.file(Role.ENDPOINT).with_name("changed.json5")
+    file = link.file(Role.ROBOT).with_name("changed.json5")
     file.write_text(json.dumps(content))
 
     def without_certificate(content: dict[str, Any]) -> None:
@@ -226,7 +226,7 @@ def test_zenoh_lets_in_without_certificate_where_we_say_so(
         tls["enable_mtls"] = False
 
     stranger = link.intruder(Role.COMMANDER, without_certificate)
-    with Link.open(TransportConfig.for_endpoint(zenoh_config=file), "endpoint"):
+    with Link.open(TransportConfig.for_robot(zenoh_config=file), "server"):
         try:
             Link.open(stranger, "stranger").close()
         except TransportError:
@@ -267,7 +267,7 @@ def test_wrong_zenoh_configuration_is_one_line(
     tmp_path: Path, command: str, what: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     link = SecuredLink(tmp_path)
-    side = Role.ENDPOINT if command == "robot" else Role.COMMANDER
+    side = Role.ROBOT if command == "robot" else Role.COMMANDER
     verb = "listen" if command == "robot" else "connect"
     file = link.file(side)
     content = json.loads(file.read_text()[file.read_text().index("{") :])
@@ -318,8 +318,8 @@ def test_the_folder_can_be_copied_anywhere(tmp_path: Path, monkeypatch: pytest.M
     link.directory = tmp_path / "moved"
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
-    endpoint = TransportConfig.for_endpoint(zenoh_config=link.file(Role.ENDPOINT))
-    with Link.open(endpoint, "endpoint"), Link.open(link.config(Role.COMMANDER), "commander"):
+    server = TransportConfig.for_robot(zenoh_config=link.file(Role.ROBOT))
+    with Link.open(server, "server"), Link.open(link.config(Role.COMMANDER), "commander"):
         pass
     relative = Path("../moved") / Role.COMMANDER.value / "zenoh.json5"
     assert TransportConfig.for_client(zenoh_config=relative).zenoh()

@@ -1,4 +1,4 @@
-"""The secured link with a real endpoint: who gets in, and what each may do there."""
+"""The secured link with a real robot server: who gets in, and what each may do there."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from skewmi.deploy.motion.start_motion import StartMotion
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.recording.reader import read_recording
 from skewmi.deploy.robot.backend import GRID_NS
-from skewmi.deploy.robot.description import EndpointDescription
+from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.run import run_deploy
 from skewmi.deploy.wire import ros2_keys, topics
 from skewmi.deploy.wire.access import Role
@@ -46,15 +46,15 @@ STEP = 0.08 * np.array([1, -0.5, 0, 0.5, 0, 1, 0])
 @pytest.fixture(scope="module")
 def secured(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SecuredLink]:
     link = SecuredLink(tmp_path_factory.mktemp("link"))
-    with robot_process("--zenoh-config", str(link.file(Role.ENDPOINT))):
+    with robot_process("--zenoh-config", str(link.file(Role.ROBOT))):
         yield link
 
 
 @pytest.fixture
 def commander(secured: SecuredLink) -> Iterator[Link]:
-    """The rightful one; finds and leaves the endpoint disarmed, its arm at the start."""
+    """The rightful one; finds and leaves the robot server disarmed, its arm at the start."""
     with Link.open(secured.config(Role.COMMANDER), "commander") as link:
-        link.wait_for_endpoint(10.0)
+        link.wait_for_robot(10.0)
         stop_and_rest(link)
         yield link
         stop_and_rest(link)
@@ -66,11 +66,11 @@ def stop_and_rest(link: Link) -> None:
     assert link.call(topics.YUMI_SCENE_RESET, 5.0, b"0").success
 
 
-def describe(link: Link) -> EndpointDescription:
-    return EndpointDescription.from_json(link.call(topics.YUMI_DESCRIBE, 5.0).message)
+def describe(link: Link) -> RobotDescription:
+    return RobotDescription.from_json(link.call(topics.YUMI_DESCRIBE, 5.0).message)
 
 
-def motion_chunk(description: EndpointDescription) -> bytes:
+def motion_chunk(description: RobotDescription) -> bytes:
     """A good chunk from where the arm is commanded, due soon."""
     start = np.array(description.commanded_position)
     motion = StartMotion(start, start + STEP, LAB)
@@ -80,8 +80,8 @@ def motion_chunk(description: EndpointDescription) -> bytes:
     return encode_chunk(TrajectoryChunk(stamp_ns, description.joint_names, times, *samples))
 
 
-def endpoint_counts(link: Link) -> tuple[int, int]:
-    """Commands that reached the endpoint so far: accepted, refused."""
+def server_counts(link: Link) -> tuple[int, int]:
+    """Commands that reached the robot server so far: accepted, refused."""
     with_status = link.subscribe(topics.YUMI_STATUS, depth=None)
     deadline = time.monotonic() + 10.0
     heard = 0
@@ -92,7 +92,7 @@ def endpoint_counts(link: Link) -> tuple[int, int]:
             if heard == 2:
                 return int(status.values["accepted"]), int(status.values["refused"])
         time.sleep(0.01)
-    raise AssertionError("the endpoint does not tell its status")
+    raise AssertionError("the robot server does not tell its status")
 
 
 def eventually(condition: Callable[[], Any], timeout_s: float = 10.0) -> Any:
@@ -109,14 +109,14 @@ def test_commander_reads_arms_moves_and_stops(secured: SecuredLink, commander: L
     gripper = commander.publisher(topics.YUMI_GRIPPER)
     assert commander.call(topics.YUMI_ARM, 5.0, publisher.gid + gripper.gid).success
     before = decode_joint_states(states.wait(5.0).payload).position[:7]
-    accepted, refused = endpoint_counts(commander)
+    accepted, refused = server_counts(commander)
     chunk = motion_chunk(describe(commander))
     publisher.put(chunk)
     eventually(lambda: describe(commander).state == "executing")
     eventually(lambda: describe(commander).state == "holding")
     after = decode_joint_states(states.wait(5.0).payload).position[:7]
     np.testing.assert_allclose(after - before, STEP, atol=0.02)
-    assert endpoint_counts(commander) == (accepted + 1, refused)
+    assert server_counts(commander) == (accepted + 1, refused)
     assert main(["stop", "--zenoh-config", str(secured.file(Role.COMMANDER))]) == 0
     assert describe(commander).state == "disarmed"
 
@@ -139,7 +139,7 @@ def test_deploy_runs_and_records_over_the_secured_link(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     link = SecuredLink(tmp_path)
-    with robot_process("--zenoh-config", str(link.file(Role.ENDPOINT)), "--lock-step"):
+    with robot_process("--zenoh-config", str(link.file(Role.ROBOT)), "--lock-step"):
         path = tmp_path / "run.mcap"
         options = DeployOptions(
             lock_step=True, record=path, zenoh_config=link.file(Role.COMMANDER), seed=2
@@ -158,7 +158,7 @@ def test_deploy_runs_and_records_over_the_secured_link(
         said = json.loads(capsys.readouterr().out)
         assert said["episodes"] == 1
         assert said["robot"] == str(link.file(Role.COMMANDER))
-        # Real time against lock-step: it is this endpoint that was asked, none of its own.
+        # Real time against lock-step: it is this robot server that was asked, none of its own.
         assert main(["deploy", str(policy), *arguments[:2]]) == 2
         assert "lock-step" in capsys.readouterr().err
 
@@ -171,14 +171,14 @@ def test_observer_reads_states_and_nothing_else(
     readable = (topics.YUMI_JOINT_STATES, topics.YUMI_SCENE_STATES, topics.YUMI_STATUS)
     config = secured.config(Role.OBSERVER) if own_rules else secured.without_rules(Role.OBSERVER)
     with Link.open(config, "observer") as link:
-        assert link.wait_for_endpoint(10.0)["task"] == "open_press_close"
+        assert link.wait_for_robot(10.0)["task"] == "open_press_close"
         everything = link._session.declare_subscriber("**", zenoh.handlers.RingChannel(10_000))
         readers = {topic: link.subscribe(topic, depth=None) for topic in topics.TOPICS}
         for topic in readable:
             readers[topic].wait(10.0)
         status = readers[topics.YUMI_STATUS]
         publisher.put(b"a command that nobody else shall see")
-        # The endpoint tells that it has refused it: by then it would have been passed on.
+        # The robot server tells that it has refused it: by then it would have been passed on.
         eventually(lambda: any(is_refusal(sample.payload) for sample in status.drain()))
         seen = set()
         while (sample := everything.handler.try_recv()) is not None:
@@ -198,10 +198,10 @@ def test_observer_commands_have_no_effect(
     rightful = commander.publisher(topics.YUMI_TRAJECTORY)
     rightful_gripper = commander.publisher(topics.YUMI_GRIPPER)
     with Link.open(config, "observer") as link:
-        link.wait_for_endpoint(10.0)
+        link.wait_for_robot(10.0)
         states = link.subscribe(topics.YUMI_JOINT_STATES)
         before = decode_joint_states(states.wait(10.0).payload).position
-        counts = endpoint_counts(commander)
+        counts = server_counts(commander)
 
         # Disarmed: it can neither arm nor reset.
         own = link.publisher(topics.YUMI_TRAJECTORY)
@@ -235,23 +235,23 @@ def test_observer_commands_have_no_effect(
         for wild in ("0/yumi/stop/**", "0/yumi/*/**", "**"):
             for _ in link._session.get(wild, timeout=0.3, payload=b"\x00\x01\x00\x00\x00"):
                 pass
-        assert endpoint_counts(commander) == counts
+        assert server_counts(commander) == counts
         assert describe(commander).commanded_position == description.commanded_position
         after = decode_joint_states(states.wait(10.0).payload).position
         np.testing.assert_allclose(after, before, atol=5e-3)  # it would be 80e-3
-        # What it sent was good: from the rightful sender the endpoint follows it.
+        # What it sent was good: from the rightful sender the robot server follows it.
         commander.call(topics.YUMI_STOP, 5.0)
         assert commander.call(topics.YUMI_ARM, 5.0, gids).success
         rightful.put(motion_chunk(describe(commander)))
         eventually(lambda: describe(commander).state == "executing")
 
 
-def test_observer_cannot_play_the_endpoint(secured: SecuredLink, commander: Link) -> None:
+def test_observer_cannot_play_the_robot_server(secured: SecuredLink, commander: Link) -> None:
     """Neither its states nor its answers reach the commander."""
     states = commander.subscribe(topics.YUMI_JOINT_STATES, depth=None)
     status = commander.subscribe(topics.YUMI_STATUS, depth=None)
     with Link.open(secured.without_rules(Role.OBSERVER), "impostor") as link:
-        link.wait_for_endpoint(10.0)
+        link.wait_for_robot(10.0)
         answered = []
         for service in topics.SERVICES:
             link.service(service, answered.append)
@@ -278,9 +278,9 @@ REFUSED = {
     "expired": "expired",
     "not yet valid": "certificate",
     "no certificate": "certificate required",
-    "the endpoint's certificate": "unsupported certificate",
+    "the robot server's certificate": "unsupported certificate",
     "key of another": "mismatch",
-    "no TLS": "no robot endpoint answers",
+    "no TLS": "no robot server answers",
 }
 
 
@@ -295,11 +295,11 @@ def test_others_do_not_get_in(secured: SecuredLink, commander: Link, what: str) 
         del tls["connect_certificate"], tls["connect_private_key"]
         tls["enable_mtls"] = False
 
-    def endpoints_certificate(content: dict[str, Any]) -> None:
+    def robots_certificate(content: dict[str, Any]) -> None:
         del content["access_control"]
         tls = content["transport"]["link"]["tls"]
-        tls["connect_certificate"] = "../endpoint/certificate.pem"
-        tls["connect_private_key"] = "../endpoint/key.pem"
+        tls["connect_certificate"] = "../robot/certificate.pem"
+        tls["connect_private_key"] = "../robot/key.pem"
 
     def other_key(content: dict[str, Any]) -> None:
         content["transport"]["link"]["tls"]["connect_private_key"] = "../observer/key.pem"
@@ -319,7 +319,7 @@ def test_others_do_not_get_in(secured: SecuredLink, commander: Link, what: str) 
     else:
         change = {
             "no certificate": no_certificate,
-            "the endpoint's certificate": endpoints_certificate,
+            "the robot server's certificate": robots_certificate,
             "key of another": other_key,
             "no TLS": no_tls,
         }[what]
@@ -337,7 +337,7 @@ def test_a_certificate_without_a_role_gets_in_but_has_no_rights(
     config = secured.with_certificate(
         secured.authority, "skewmi-commander-0000", now() - DAY, now() + DAY
     )
-    counts = endpoint_counts(commander)
+    counts = server_counts(commander)
     with Link.open(config, "former") as link:
         states = link.subscribe(topics.YUMI_JOINT_STATES)
         publisher = link.publisher(topics.YUMI_TRAJECTORY)
@@ -346,12 +346,12 @@ def test_a_certificate_without_a_role_gets_in_but_has_no_rights(
         publisher.put(motion_chunk(describe(commander)))
         with pytest.raises(TransportError):
             states.wait(0.5)
-    assert endpoint_counts(commander) == counts
+    assert server_counts(commander) == counts
 
 
-@pytest.mark.parametrize("what", ["observer's certificate", "former endpoint's certificate"])
-def test_commander_obeys_no_false_endpoint(tmp_path: Path, what: str) -> None:
-    """Somebody else listens where the endpoint should be."""
+@pytest.mark.parametrize("what", ["observer's certificate", "former robot server's certificate"])
+def test_commander_obeys_no_false_robot_server(tmp_path: Path, what: str) -> None:
+    """Somebody else listens where the robot server should be."""
     link = SecuredLink(tmp_path)
     if what == "observer's certificate":
         folder = tmp_path / Role.OBSERVER.value
@@ -359,7 +359,7 @@ def test_commander_obeys_no_false_endpoint(tmp_path: Path, what: str) -> None:
         folder = tmp_path / "former"
         folder.mkdir()
         certificate, key = link.authority.sign(
-            "skewmi-endpoint-0000", now() - DAY, now() + DAY, ("localhost", "127.0.0.1")
+            "skewmi-robot server-0000", now() - DAY, now() + DAY, ("localhost", "127.0.0.1")
         )
         (folder / "certificate.pem").write_bytes(certificate_pem(certificate))
         (folder / "key.pem").write_bytes(key_pem(key))
@@ -370,16 +370,16 @@ def test_commander_obeys_no_false_endpoint(tmp_path: Path, what: str) -> None:
         tls["listen_certificate"] = str(folder / "certificate.pem")
         tls["listen_private_key"] = str(folder / "key.pem")
 
-    file = link.intruder(Role.ENDPOINT, impostor).zenoh_config
-    with Link.open(TransportConfig.for_endpoint(zenoh_config=file), "impostor") as endpoint:
+    file = link.intruder(Role.ROBOT, impostor).zenoh_config
+    with Link.open(TransportConfig.for_robot(zenoh_config=file), "impostor") as server:
         called: list[object] = []
-        endpoint.service(topics.YUMI_DESCRIBE, called.append)
-        endpoint.service(topics.YUMI_ARM, called.append)
+        server.service(topics.YUMI_DESCRIBE, called.append)
+        server.service(topics.YUMI_ARM, called.append)
         with (
-            pytest.raises(TransportError, match=r"certificate|no robot endpoint answers"),
+            pytest.raises(TransportError, match=r"certificate|no robot server answers"),
             Link.open(link.config(Role.COMMANDER), "commander") as commander,
         ):
-            commander.wait_for_endpoint(2.0)
+            commander.wait_for_robot(2.0)
         assert called == []
 
 
@@ -401,12 +401,12 @@ def test_link_ends_when_the_certificate_does(secured: SecuredLink, commander: Li
             return states.take() is None
 
         eventually(cut_off, 30.0)
-        # Without its commander the endpoint disarms.
+        # Without its commander the robot server disarms.
         eventually(lambda: describe(commander).state == "disarmed", 30.0)
 
 
 def test_rules_mirror_each_other(secured: SecuredLink) -> None:
-    """What a role's own file lets out is what the endpoint's file lets in, and the reverse."""
+    """What a role's own file lets out is what the robot server's file lets in, and the reverse."""
 
     def rules(role: Role, peer: Role) -> set[tuple[str, str, str]]:
         text = secured.file(role).read_text()
@@ -427,10 +427,10 @@ def test_rules_mirror_each_other(secured: SecuredLink) -> None:
 
     swap = {"ingress": "egress", "egress": "ingress"}
     for role in (Role.COMMANDER, Role.OBSERVER):
-        at_endpoint = rules(Role.ENDPOINT, role)
-        assert {(swap[f], m, k) for f, m, k in rules(role, Role.ENDPOINT)} == at_endpoint
-        assert not [k for _, _, k in at_endpoint if k in ("**", "*")]
+        at_server = rules(Role.ROBOT, role)
+        assert {(swap[f], m, k) for f, m, k in rules(role, Role.ROBOT)} == at_server
+        assert not [k for _, _, k in at_server if k in ("**", "*")]
     commands = ros2_keys.data_key(0, topics.YUMI_TRAJECTORY)
-    observer = rules(Role.ENDPOINT, Role.OBSERVER)
+    observer = rules(Role.ROBOT, Role.OBSERVER)
     assert not [entry for entry in observer if entry[2] == commands]
     assert not [entry for entry in observer if entry[0] == "ingress" and entry[1] == "put"]

@@ -1,4 +1,4 @@
-"""Old commands put again: whoever sends them, and whenever, the endpoint does not follow them."""
+"""Old commands put again: whoever sends them, and whenever, the server does not follow them."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from secured_link import robot_process
 from skewmi.deploy.motion.start_motion import StartMotion
 from skewmi.deploy.robot.backend import GRID_NS, fresh_tick
 from skewmi.deploy.robot.backends.mujoco.backend import SimTwin
-from skewmi.deploy.robot.controller import EndpointController
-from skewmi.deploy.robot.description import EndpointDescription
+from skewmi.deploy.robot.controller import RobotController
+from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.robot.process import free_port
 from skewmi.deploy.robot.run import limit_check
 from skewmi.deploy.safety.validation import ChunkValidator, ValidationRules
@@ -41,17 +41,17 @@ GIDS = (b"a" * 16, b"b" * 16)
 GRIPPER = b"g" * 16
 
 
-def make_robot(twin: SimTwin, first_tick: int) -> EndpointController:
-    """An endpoint that was just started, its arm at the task's start."""
+def make_robot(twin: SimTwin, first_tick: int) -> RobotController:
+    """A robot server that was just started, its arm at the task's start."""
     twin.reset_scene(seed=0)
     assert twin.layout.workspace is not None
     rules = ValidationRules(joint_names=twin.joint_names, grid_ns=GRID_NS)
     validator = ChunkValidator(rules, limit_check(LAB, twin.layout.workspace))
-    return EndpointController(twin, validator, first_tick=first_tick)
+    return RobotController(twin, validator, first_tick=first_tick)
 
 
 def chunks(start: Array, stamp_ns: int, names: tuple[str, ...], back: bool = False) -> list[bytes]:
-    """A motion as the daemon streams it: a chunk every 20 ms, each with its own braking tail."""
+    """A motion as the session streams it: a chunk every 20 ms, each with its own braking tail."""
     motion = StartMotion(start, start + (-SIZE if back else SIZE), LAB)
     payloads = []
     for cycle in range(len(motion.q) // 5):
@@ -67,7 +67,7 @@ def twin() -> SimTwin:
     return SimTwin()
 
 
-def execute(robot: EndpointController, payloads: list[bytes], gid: bytes, first: int = 1) -> int:
+def execute(robot: RobotController, payloads: list[bytes], gid: bytes, first: int = 1) -> int:
     """Send each chunk 12 ms before it is due, as a recording that is played; how many passed."""
     passed = 0
     sequence = first
@@ -142,7 +142,7 @@ def test_no_chunk_is_ever_followed_twice(
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=10)
 @given(gid=st.sampled_from([*GIDS, b""]), data=st.data())
-def test_a_recording_is_not_followed_by_a_restarted_endpoint(
+def test_a_recording_is_not_followed_by_a_restarted_robot_server(
     twin: SimTwin, gid: bytes, data: st.DataObject
 ) -> None:
     """Even by one that is armed for the recorded sender, at rest at the recorded start."""
@@ -160,7 +160,7 @@ def test_a_recording_is_not_followed_by_a_restarted_endpoint(
     restarted.arm(gid, 0)
     assert execute(restarted, recorded, GIDS[0], data.draw(st.integers(1, 2**62))) == 0
     assert restarted.refused == len(recorded)
-    why = "is not the commander" if gid == GIDS[1] else "the endpoint's clock"
+    why = "is not the commander" if gid == GIDS[1] else "the robot server's clock"
     assert all(why in refusal.reason for refusal in restarted.take_refusals())
     np.testing.assert_array_equal(restarted.commanded_position(), start)
 
@@ -187,8 +187,8 @@ def test_clocks_start_years_apart_and_fit_a_ros_stamp() -> None:
 # Over the wire, with the very bytes.
 
 
-def describe(link: Link) -> EndpointDescription:
-    return EndpointDescription.from_json(link.call(topics.YUMI_DESCRIBE, 5.0).message)
+def describe(link: Link) -> RobotDescription:
+    return RobotDescription.from_json(link.call(topics.YUMI_DESCRIBE, 5.0).message)
 
 
 def counts(link: Link, status) -> tuple[int, int, str]:
@@ -220,7 +220,7 @@ def test_bytes_put_again_over_the_wire_are_refused_with_the_reason() -> None:
         gripper = link.publisher(topics.YUMI_GRIPPER)
         with zenoh.open(config.zenoh()) as other:
             tap = other.declare_subscriber("0/yumi/right/*/**", zenoh.handlers.RingChannel(1000))
-            link.wait_for_endpoint(10.0)
+            link.wait_for_robot(10.0)
             time.sleep(0.3)  # until the tap is known to everybody
             assert link.call(topics.YUMI_ARM, 5.0, publisher.gid + gripper.gid).success
             before = describe(link)
@@ -269,11 +269,11 @@ def test_bytes_put_again_over_the_wire_are_refused_with_the_reason() -> None:
             gripper.put(encode_joint_states(gripper_old))
             accepted, refused, reasons = counts(link, status)
             assert (accepted, refused) == (1, 6)
-            assert "in the past of the endpoint's clock" in reasons
-            assert "s old by the endpoint's clock" in reasons
+            assert "in the past of the robot server's clock" in reasons
+            assert "s old by the robot server's clock" in reasons
             assert describe(link).commanded_position == rest
 
-    # The endpoint is started again, and armed for the recorded senders.
+    # The robot server is started again, and armed for the recorded senders.
     with (
         robot_process("--listen", locator),
         zenoh.open(config.zenoh()) as other,
@@ -281,7 +281,7 @@ def test_bytes_put_again_over_the_wire_are_refused_with_the_reason() -> None:
     ):
         status = link.subscribe(topics.YUMI_STATUS, depth=None)
         states = link.subscribe(topics.YUMI_JOINT_STATES)
-        link.wait_for_endpoint(10.0)
+        link.wait_for_robot(10.0)
         gids = {key: attachment[17:] for key, _, attachment in recorded}
         assert link.call(topics.YUMI_ARM, 5.0, gids[chunk_key] + gids[gripper_key]).success
         before = describe(link)
@@ -291,7 +291,7 @@ def test_bytes_put_again_over_the_wire_are_refused_with_the_reason() -> None:
             other.put(key, payload, attachment=attachment)
         accepted, refused, reasons = counts(link, status)
         assert (accepted, refused) == (0, 2)
-        assert reasons.count("the endpoint's clock") == 2
+        assert reasons.count("the robot server's clock") == 2
         assert describe(link).commanded_position == before.commanded_position
         now = decode_joint_states(states.wait(5.0).payload).position[7]
         assert now == pytest.approx(fingers, abs=1e-4)

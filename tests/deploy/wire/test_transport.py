@@ -136,7 +136,7 @@ def test_other_attachments_are_refused(attachment):
 
 
 def test_messages_and_services_between_two_processes(locator):
-    with Link.open(TransportConfig.for_endpoint(locator), "endpoint") as link:
+    with Link.open(TransportConfig.for_robot(locator), "endpoint") as link:
         publisher = link.publisher(YUMI_JOINT_STATES)
         commands = link.subscribe(YUMI_TRAJECTORY, depth=None)
 
@@ -150,7 +150,7 @@ def test_messages_and_services_between_two_processes(locator):
         peer = start_peer(
             locator,
             """
-            print(link.wait_for_endpoint(5.0)["backend"])
+            print(link.wait_for_robot(5.0)["backend"])
             print(link.call(topics.YUMI_ARM, 2.0).message == link.session_id)
             print(link.call(topics.YUMI_ARM, 2.0, b"refuse"))
             states = link.subscribe(topics.YUMI_JOINT_STATES)
@@ -186,7 +186,7 @@ def test_messages_and_services_between_two_processes(locator):
 
 def test_depth_one_keeps_the_newest_and_latest_remembers_it(locator):
     with (
-        Link.open(TransportConfig.for_endpoint(locator), "endpoint") as endpoint,
+        Link.open(TransportConfig.for_robot(locator), "endpoint") as server,
         Link.open(TransportConfig.for_client(locator), "client") as client,
     ):
         newest, every = (
@@ -194,7 +194,7 @@ def test_depth_one_keeps_the_newest_and_latest_remembers_it(locator):
             client.subscribe(YUMI_JOINT_STATES, depth=None),
         )
         assert newest.latest() is None
-        publisher = endpoint.publisher(YUMI_JOINT_STATES)
+        publisher = server.publisher(YUMI_JOINT_STATES)
         eventually(lambda: publisher.put(b"probe") or (every.drain() and newest.take()))
         time.sleep(0.1)
         every.drain()
@@ -216,7 +216,7 @@ def test_depth_one_keeps_the_newest_and_latest_remembers_it(locator):
 def test_lock_step_loses_nothing_that_real_time_could_drop(locator):
     """A thousand chunks overflow the queues to a stalled receiver; blocking delivers them."""
     count = 1000
-    with Link.open(TransportConfig.for_endpoint(locator, lock_step=True), "endpoint") as link:
+    with Link.open(TransportConfig.for_robot(locator, lock_step=True), "endpoint") as link:
         peer = start_peer(
             locator,
             f"""
@@ -261,7 +261,7 @@ time.sleep(60)
 """
 
 
-def test_a_caller_that_reads_no_replies_does_not_hold_up_the_endpoint(locator):
+def test_a_caller_that_reads_no_replies_does_not_hold_up_the_robot_server(locator):
     """Its session is closed within milliseconds; Zenoh by itself would block for 5 s, twice."""
     answered = 0
 
@@ -270,7 +270,7 @@ def test_a_caller_that_reads_no_replies_does_not_hold_up_the_endpoint(locator):
         answered += 1
         return TriggerReply(True, 60_000 * "x")
 
-    with Link.open(TransportConfig.for_endpoint(locator), "endpoint") as link:
+    with Link.open(TransportConfig.for_robot(locator), "endpoint") as link:
         service = link.service(YUMI_DESCRIBE, describe, polled=True)
         peer = start_peer(locator, DEAF)
         assert peer.stdout is not None
@@ -296,29 +296,29 @@ def test_a_caller_that_reads_no_replies_does_not_hold_up_the_endpoint(locator):
             peer.communicate()
 
 
-def test_only_a_real_time_endpoint_puts_out_who_blocks_and_a_file_may_say_otherwise(tmp_path):
+def test_only_a_real_time_robot_server_puts_out_who_blocks_and_a_file_may_say_otherwise(tmp_path):
     key = "transport/link/tx/queue/congestion_control/block/wait_before_close"
     zenohs_us = 5_000_000
 
     def wait_us(config: TransportConfig) -> int:
         return json.loads(config.zenoh().get_json(key))
 
-    assert wait_us(TransportConfig.for_endpoint()) == 10_000
-    assert wait_us(TransportConfig.for_endpoint(lock_step=True)) == zenohs_us
+    assert wait_us(TransportConfig.for_robot()) == 10_000
+    assert wait_us(TransportConfig.for_robot(lock_step=True)) == zenohs_us
     assert wait_us(TransportConfig.for_client()) == zenohs_us
     file = tmp_path / "zenoh.json5"
     file.write_text(
         "{transport: {link: {rx: {max_message_size: 1000}, tx: {queue: {congestion_control: "
         "{block: {wait_before_close: 70000}}}}}}}"
     )
-    config = TransportConfig.for_endpoint(zenoh_config=file)
+    config = TransportConfig.for_robot(zenoh_config=file)
     assert wait_us(config) == 70_000
     assert config.zenoh().get_json("transport/link/rx/max_message_size") == "1000"
 
 
 @pytest.mark.parametrize("lock_step", [False, True])
 def test_longest_messages_pass_and_longer_ones_do_not(locator, lock_step):
-    """The endpoint puts no message of more than 256 KiB together; what it sends has no bound."""
+    """The server puts no message of more than 256 KiB together; what it sends has no bound."""
     count = ValidationRules(joint_names=yumi.joint_names("right"), grid_ns=GRID_NS).max_points
     numbers = np.random.default_rng(0).normal(size=(count, 7))
     times = np.arange(count, dtype=np.int64) * GRID_NS
@@ -332,7 +332,7 @@ def test_longest_messages_pass_and_longer_ones_do_not(locator, lock_step):
     strange.insert_json5("connect/endpoints", json.dumps([locator]))
     key = ros2_keys.data_key(0, YUMI_TRAJECTORY)
     with (
-        Link.open(TransportConfig.for_endpoint(locator, lock_step=lock_step), "endpoint") as link,
+        Link.open(TransportConfig.for_robot(locator, lock_step=lock_step), "endpoint") as link,
         Link.open(TransportConfig.for_client(locator), "client") as client,
         zenoh.open(strange) as session,
     ):
@@ -366,7 +366,7 @@ def test_longest_messages_pass_and_longer_ones_do_not(locator, lock_step):
 
 
 def test_polled_service_answers_in_the_polling_thread(locator):
-    with Link.open(TransportConfig.for_endpoint(locator), "endpoint") as link:
+    with Link.open(TransportConfig.for_robot(locator), "endpoint") as link:
         service = link.service(YUMI_STOP, lambda _: TriggerReply(True, "stopped"), polled=True)
         peer = start_peer(locator, "print(link.call(topics.YUMI_STOP, 5.0).message)")
         eventually(service.poll, 20.0)
@@ -376,10 +376,10 @@ def test_polled_service_answers_in_the_polling_thread(locator):
 def test_one_poll_answers_a_bounded_number_of_requests(locator):
     """Else whoever asks faster than is answered would keep the loop that polls."""
     with (
-        Link.open(TransportConfig.for_endpoint(locator), "endpoint") as endpoint,
+        Link.open(TransportConfig.for_robot(locator), "endpoint") as server,
         zenoh.open(TransportConfig.for_client(locator).zenoh()) as session,
     ):
-        service = endpoint.service(YUMI_STOP, lambda _: TriggerReply(True, ""), polled=True)
+        service = server.service(YUMI_STOP, lambda _: TriggerReply(True, ""), polled=True)
         key = ros2_keys.data_key(0, YUMI_STOP)
         request = encode_trigger_request(b"")
         eventually(lambda: session.get(key, payload=request) and service.poll())
@@ -396,10 +396,10 @@ def test_a_bug_in_a_handler_is_told_to_the_caller(locator):
         raise RuntimeError("a bug")
 
     with (
-        Link.open(TransportConfig.for_endpoint(locator), "endpoint") as endpoint,
+        Link.open(TransportConfig.for_robot(locator), "endpoint") as server,
         Link.open(TransportConfig.for_client(locator), "client") as client,
     ):
-        endpoint.service(YUMI_STOP, handler)
+        server.service(YUMI_STOP, handler)
         reply = eventually(lambda: _call_if_there(client))
         assert not reply.success
         assert "a bug" in reply.message
@@ -413,18 +413,18 @@ def _call_if_there(client: Link) -> TriggerReply | None:
 
 
 def test_tokens_of_a_closed_link_disappear_at_once(locator):
-    with Link.open(TransportConfig.for_endpoint(locator), "endpoint") as endpoint:
+    with Link.open(TransportConfig.for_robot(locator), "endpoint") as server:
         with Link.open(TransportConfig.for_client(locator), "client") as client:
             publisher = client.publisher(YUMI_TRAJECTORY)
             session = client.session_id
-            assert eventually(lambda: endpoint.graph.session_of(publisher.gid)) == session
-        eventually(lambda: endpoint.graph.session_of(publisher.gid) is None, 2.0)
-        assert not [token for token in endpoint.graph.tokens() if session in token]
+            assert eventually(lambda: server.graph.session_of(publisher.gid)) == session
+        eventually(lambda: server.graph.session_of(publisher.gid) is None, 2.0)
+        assert not [token for token in server.graph.tokens() if session in token]
 
 
 def test_samples_without_attachment_are_ignored(locator):
-    with Link.open(TransportConfig.for_endpoint(locator), "endpoint") as endpoint:
-        reader = endpoint.subscribe(YUMI_TRAJECTORY, depth=None)
+    with Link.open(TransportConfig.for_robot(locator), "endpoint") as server:
+        reader = server.subscribe(YUMI_TRAJECTORY, depth=None)
         with zenoh.open(TransportConfig.for_client(locator).zenoh()) as session:
             key = ros2_keys.data_key(0, YUMI_TRAJECTORY)
             entity_gid = bytes(range(16))
@@ -443,23 +443,23 @@ def test_nobody_there_is_said_in_time(locator):
     assert time.monotonic() - started < 3.0
 
 
-def test_endpoint_without_services_is_no_endpoint(locator):
+def test_robot_server_without_services_is_no_robot_server(locator):
     with (
-        Link.open(TransportConfig.for_endpoint(locator), "endpoint"),
+        Link.open(TransportConfig.for_robot(locator), "endpoint"),
         Link.open(TransportConfig.for_client(locator), "client") as client,
     ):
-        with pytest.raises(TransportError, match="no robot endpoint answers"):
-            client.wait_for_endpoint(0.3)
+        with pytest.raises(TransportError, match="no robot server answers"):
+            client.wait_for_robot(0.3)
         with pytest.raises(TransportError, match="/yumi/scene/reset"):
             client.call(YUMI_SCENE_RESET, 0.3)
 
 
 def test_silent_service_times_out(locator):
     with (
-        Link.open(TransportConfig.for_endpoint(locator), "endpoint") as endpoint,
+        Link.open(TransportConfig.for_robot(locator), "endpoint") as server,
         Link.open(TransportConfig.for_client(locator), "client") as client,
     ):
-        endpoint.service(YUMI_STOP, lambda _: TriggerReply(True, ""), polled=True)
+        server.service(YUMI_STOP, lambda _: TriggerReply(True, ""), polled=True)
         started = time.monotonic()
         with pytest.raises(TransportError, match="no answer from /yumi/stop"):
             client.call(YUMI_STOP, 0.3)
@@ -469,17 +469,17 @@ def test_silent_service_times_out(locator):
 def test_port_in_use_names_port_and_way_out(locator):
     port = locator.rpartition(":")[2]
     with (
-        Link.open(TransportConfig.for_endpoint(locator), "endpoint"),
+        Link.open(TransportConfig.for_robot(locator), "endpoint"),
         pytest.raises(TransportError, match=rf"port {port} on 127.0.0.1 is in use.*--listen"),
     ):
-        Link.open(TransportConfig.for_endpoint(locator), "second")
+        Link.open(TransportConfig.for_robot(locator), "second")
 
 
 def test_default_is_loopback_without_scouting():
-    config = TransportConfig.for_endpoint().zenoh()
-    endpoints = config.get_json("listen/endpoints")
-    assert "127.0.0.1:7447" in endpoints
-    assert "0.0.0.0" not in endpoints
+    config = TransportConfig.for_robot().zenoh()
+    servers = config.get_json("listen/endpoints")
+    assert "127.0.0.1:7447" in servers
+    assert "0.0.0.0" not in servers
     assert json.loads(config.get_json("connect/endpoints")) == []
     for kind in ("multicast", "gossip"):
         assert config.get_json(f"scouting/{kind}/enabled") == "false"
@@ -489,16 +489,16 @@ def test_default_is_loopback_without_scouting():
 def test_zenoh_configuration_file_is_used_and_locators_override_it(tmp_path, locator):
     file = tmp_path / "zenoh.json5"
     file.write_text(
-        '{mode: "router", listen: {endpoints: ["tcp/127.0.0.1:1"]}, '
+        '{mode: "router", listen: {robot servers: ["tcp/127.0.0.1:1"]}, '
         "scouting: {multicast: {enabled: false}}}"
     )
     config = TransportConfig(listen=(locator,), zenoh_config=file)
     with (
-        Link.open(config, "endpoint") as endpoint,
+        Link.open(config, "endpoint") as server,
         Link.open(TransportConfig.for_client(locator), "client") as client,
     ):
-        endpoint.service(YUMI_DESCRIBE, lambda _: TriggerReply(True, "{}"))
-        assert client.wait_for_endpoint(5.0) == {}
+        server.service(YUMI_DESCRIBE, lambda _: TriggerReply(True, "{}"))
+        assert client.wait_for_robot(5.0) == {}
 
 
 def test_bad_configurations_are_refused(tmp_path):
@@ -515,7 +515,7 @@ def test_bad_configurations_are_refused(tmp_path):
 
 
 def test_publishing_on_a_closed_link_is_a_transport_error(locator):
-    link = Link.open(TransportConfig.for_endpoint(locator), "endpoint")
+    link = Link.open(TransportConfig.for_robot(locator), "endpoint")
     publisher = link.publisher(YUMI_JOINT_STATES)
     link.close()
     link.close()
@@ -533,7 +533,7 @@ from skewmi.deploy.wire.messages import (
     encode_trigger_request,
 )
 from skewmi.deploy.wire.transport import Link, TransportConfig
-link = Link.open(TransportConfig.for_endpoint("{locator}"), "endpoint")
+link = Link.open(TransportConfig.for_robot("{locator}"), "endpoint")
 link.service(topics.YUMI_STOP, lambda request: TriggerReply(True, ""))
 1 / 0
 """

@@ -86,7 +86,7 @@ class SimTwin:
         if abs(self._substeps * self.scene.model.opt.timestep - grid_dt) > 1e-12:
             raise ConfigurationError(
                 f"the scene's time step {self.scene.model.opt.timestep} s does not divide the "
-                f"endpoint's grid of {grid_dt} s"
+                f"robot server's grid of {grid_dt} s"
             )
         self._names = (*self.joint_names, yumi.finger_names("right")[0])
         lid, button = (self.scene.model.joint(name) for name in SCENE_JOINTS)

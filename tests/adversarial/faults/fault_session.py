@@ -1,7 +1,7 @@
-"""The daemon as a process of its own, which can be told to misbehave.
+"""The session as a process of its own, which can be told to misbehave.
 
 Run as a script it is the child: it executes one `run_deploy` after another as told on its standard
-input, one JSON object a line. `DaemonProcess` is the parent's handle.
+input, one JSON object a line. `SessionProcess` is the parent's handle.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def main() -> None:
         say(report=run(order, stop, trigger))
 
 
-class DaemonProcess:
+class SessionProcess:
     """Handle of the child.
 
     Args:

@@ -1,7 +1,7 @@
-"""The endpoint's tick of 4 ms in real time: the deployed controller and twin, without the wires.
+"""The server's tick of 4 ms in real time: the deployed controller and twin, without the wires.
 
 Every fifth tick states are measured and encoded as they would be published. At the tick after it,
-when the daemon has answered, a chunk arrives that was planned and encoded beforehand: it is
+when the session has answered, a chunk arrives that was planned and encoded beforehand: it is
 decoded, judged and laid over the plan. At every tick the plan's sample is commanded and the physics
 makes a step.
 """
@@ -18,7 +18,7 @@ from skewmi.deploy.motion.planner import Planner
 from skewmi.deploy.realtime import hot_loop
 from skewmi.deploy.robot.backend import GRID_NS, STATE_PERIOD_TICKS
 from skewmi.deploy.robot.backends.mujoco.backend import SimTwin
-from skewmi.deploy.robot.controller import EndpointController
+from skewmi.deploy.robot.controller import RobotController
 from skewmi.deploy.robot.run import limit_check
 from skewmi.deploy.safety.validation import ChunkValidator, ValidationRules
 from skewmi.deploy.wire.messages import (
@@ -56,7 +56,7 @@ def plan_chunks(workspace: Workspace, profile: str, cycles: int, seed: int) -> l
     return messages
 
 
-def measure_endpoint(seconds: float, seed: int, profile: str = "lab") -> dict[str, Any]:
+def measure_robot_server(seconds: float, seed: int, profile: str = "lab") -> dict[str, Any]:
     """Ticks for the given time.
 
     Raises:
@@ -70,7 +70,7 @@ def measure_endpoint(seconds: float, seed: int, profile: str = "lab") -> dict[st
     messages = plan_chunks(workspace, profile, cycles, seed)
     rules = ValidationRules(joint_names=backend.joint_names, grid_ns=GRID_NS)
     validator = ChunkValidator(rules, limit_check(bounds, workspace))
-    controller = EndpointController(backend, validator, first_tick=FIRST_TICK)
+    controller = RobotController(backend, validator, first_tick=FIRST_TICK)
     times = StageTimes()
     times.watch(backend, "step", "physics")
     ticks: list[tuple[float, float]] = []
@@ -107,7 +107,7 @@ def measure_endpoint(seconds: float, seed: int, profile: str = "lab") -> dict[st
     }
 
 
-def _encode_states(controller: EndpointController) -> None:
+def _encode_states(controller: RobotController) -> None:
     """Joint and scene states as the server publishes them."""
     measured = controller.measure()
     stamp_ns, nothing = controller.clock_ns, measured.scene_position[:0]
