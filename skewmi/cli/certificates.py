@@ -52,7 +52,7 @@ def run_certificates(options: CertificatesCommand) -> int:
         print(json.dumps({"expires": written.expires.isoformat(), "zenoh_config": files}))
         return 0
     print(f"valid until {written.expires:%Y-%m-%d %H:%M} UTC; copy each folder to its machine")
-    print(f"robot:    skewmi robot --zenoh-config {files['server']}")
+    print(f"robot:    skewmi robot --zenoh-config {files['robot']}")
     print(f"commands: skewmi deploy POLICY --zenoh-config {files['commander']}")
     print(f"watchers: {files['observer']}")
     return 0

@@ -136,7 +136,7 @@ def test_robot_commands_listen_only_where_they_are_told_to(tmp_path: Path) -> No
 
 def test_what_a_file_says_is_kept_and_what_it_leaves_open_is_safe(tmp_path: Path) -> None:
     file = tmp_path / "zenoh.json5"
-    file.write_text('{listen: {robot servers: ["tcp/10.0.0.7:1"]}, connect: {timeout_ms: 77}}')
+    file.write_text('{listen: {endpoints: ["tcp/10.0.0.7:1"]}, connect: {timeout_ms: 77}}')
     server = TransportConfig.for_robot(zenoh_config=file)
     config = server.zenoh()
     assert json.loads(config.get_json("listen/endpoints")) == ["tcp/10.0.0.7:1"]
@@ -197,7 +197,7 @@ def test_tls_protects_only_if_it_asks_for_certificates(
     locator = f"{protocol}/0.0.0.0:7447{own}"
     file = tmp_path / "zenoh.json5"
     file.write_text(
-        f'{{listen: {{robot servers: ["{locator}", "{protocol}/127.0.0.1:7448"]}}, '
+        f'{{listen: {{endpoints: ["{locator}", "{protocol}/127.0.0.1:7448"]}}, '
         f"transport: {{link: {{tls: {{enable_mtls: {mutual}}}}}}}}}"
     )
     config = TransportConfig.for_robot(zenoh_config=file)

@@ -489,7 +489,7 @@ def test_default_is_loopback_without_scouting():
 def test_zenoh_configuration_file_is_used_and_locators_override_it(tmp_path, locator):
     file = tmp_path / "zenoh.json5"
     file.write_text(
-        '{mode: "router", listen: {robot servers: ["tcp/127.0.0.1:1"]}, '
+        '{mode: "router", listen: {endpoints: ["tcp/127.0.0.1:1"]}, '
         "scouting: {multicast: {enabled: false}}}"
     )
     config = TransportConfig(listen=(locator,), zenoh_config=file)
