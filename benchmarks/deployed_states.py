@@ -27,7 +27,7 @@ from skewmi.deploy.recording.reader import read_recording
 from skewmi.deploy.run import run_deploy
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.messages import decode_joint_states
-from skewmi.export.rollout import run_episodes
+from skewmi.evaluation.rollout import run_episodes
 from skewmi.policy_io import PolicyLayout
 from skewmi.sim import tasks
 

@@ -34,11 +34,11 @@ from common import (
     write_result,
 )
 
-from skewmi.cli.contact import recorder_for, summarise_contact
-from skewmi.cli.learning import RunRecord, draw_learning, read_record
 from skewmi.cli.policies import twin_option
 from skewmi.errors import ConfigurationError, SkewmiError
-from skewmi.export.rollout import run_episodes, summarise
+from skewmi.evaluation.contact import recorder_for, summarise_contact
+from skewmi.evaluation.learning import RunRecord, draw_learning, read_record
+from skewmi.evaluation.rollout import run_episodes, summarise
 from skewmi.sim import tasks
 from skewmi.train.checkpoint import load_policy
 from skewmi.train.config import TrainConfig

@@ -23,9 +23,9 @@ import torch
 from common import REPOSITORY, argument_parser, print_result, progress, write_result
 from open_press_close import PACE, TASK, comparable, describe, evaluate
 
-from skewmi.cli.learning import read_record
 from skewmi.cli.train import TrainCommand, train
 from skewmi.errors import SkewmiError
+from skewmi.evaluation.learning import read_record
 from skewmi.train.config import TrainConfig
 from skewmi.train.presets import preset
 

@@ -9,7 +9,7 @@ import pytest
 from skewmi import policies
 from skewmi.deploy.policy import OnnxPolicy
 from skewmi.errors import PolicyFileError
-from skewmi.export.rollout import run_episodes, summarise
+from skewmi.evaluation.rollout import run_episodes, summarise
 from skewmi.robot_models import yumi
 from skewmi.sim import tasks
 

@@ -15,7 +15,6 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from skewmi.cli.contact import contact_text, recorder_for, summarise_contact
 from skewmi.cli.policies import (
     Which,
     load_policy_from,
@@ -25,8 +24,9 @@ from skewmi.cli.policies import (
     twin_option,
 )
 from skewmi.errors import ConfigurationError, LayoutMismatchError
-from skewmi.export.agents import RandomAgent, ZeroAgent
-from skewmi.export.rollout import run_episodes, summarise
+from skewmi.evaluation.agents import RandomAgent, ZeroAgent
+from skewmi.evaluation.contact import contact_text, recorder_for, summarise_contact
+from skewmi.evaluation.rollout import run_episodes, summarise
 from skewmi.policy_io import Policy
 
 

@@ -21,7 +21,7 @@ import tyro
 from skewmi.batch_env import BatchEnv
 from skewmi.cli.policies import Which, load_run, make_env, progress_bar, task_options
 from skewmi.errors import CheckpointError, NotFoundError, VerificationError
-from skewmi.export.rollout import run_episodes, summarise
+from skewmi.evaluation.rollout import run_episodes, summarise
 
 if TYPE_CHECKING:
     from skewmi.train.policy import TorchPolicy

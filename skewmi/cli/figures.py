@@ -18,8 +18,8 @@ import tyro
 from numpy.typing import NDArray
 
 from skewmi.batch_env import BatchEnv
-from skewmi.cli import drawing
-from skewmi.cli.learning import draw_learning, read_record, read_table
+from skewmi.evaluation import drawing
+from skewmi.evaluation.learning import draw_learning, read_record, read_table
 from skewmi.policy_io import PolicyLayout
 from skewmi.sim import tasks
 from skewmi.train.checkpoint import read_checkpoint, read_run_header

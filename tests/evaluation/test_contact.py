@@ -11,15 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from skewmi.cli.contact import (
+from skewmi.contact import QUANTITIES
+from skewmi.errors import ConfigurationError
+from skewmi.evaluation.contact import (
     ContactRecorder,
     contact_text,
     recorder_for,
     summarise_contact,
 )
-from skewmi.contact import QUANTITIES
-from skewmi.errors import ConfigurationError
-from skewmi.export.rollout import run_episodes
+from skewmi.evaluation.rollout import run_episodes
 from skewmi.policy_io import Array, PolicyLayout
 from skewmi.sim import tasks
 from skewmi.sim.open_press_close.task import make_batch

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from skewmi.cli import drawing
 from skewmi.errors import CheckpointError
+from skewmi.evaluation import drawing
 from skewmi.policy_io import Array, PolicyLayout
 from skewmi.train.checkpoint import read_checkpoint, read_run_header
 from skewmi.train.config import TrainConfig

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skewmi.errors import ConfigurationError, LayoutMismatchError
-from skewmi.export.agents import RandomAgent, ZeroAgent
-from skewmi.export.rollout import run_episodes, summarise, wilson_interval
+from skewmi.evaluation.agents import RandomAgent, ZeroAgent
+from skewmi.evaluation.rollout import run_episodes, summarise, wilson_interval
 from skewmi.policy_io import Array, PolicyLayout, first_success_step, inside_region
 from skewmi.sim import tasks
 

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 import torch
 
-from skewmi.cli.learning import RunRecord, draw_learning, median_curve, read_record
 from skewmi.cli.main import main
 from skewmi.errors import CheckpointError
+from skewmi.evaluation.learning import RunRecord, draw_learning, median_curve, read_record
 from skewmi.sim import tasks
 from skewmi.train.config import TrainConfig
 from skewmi.train.presets import preset

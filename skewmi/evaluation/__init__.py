@@ -1,0 +1,12 @@
+"""What commands compute and draw: episodes and their figures, learning curves, films.
+
+| May import | What for |
+|---|---|
+| `policy_io`, `batch_env`, `contact`, `trajectory`, `errors` | policies, environments, quantities |
+| `train`'s readers of runs (`checkpoint`, `config`, `history`, `log`, `milestones`) | curves |
+| `deploy.recording`'s reader and `deploy.wire`'s messages | films |
+| `sim`'s rendering and scenes, only inside functions | films |
+
+Never `cli`, which imports this; never `export`. `sim`, `train`, `deploy` and `export` do not import
+it. Only `learning` and `figures`, which read run directories, need torch.
+"""
