@@ -12,15 +12,18 @@ from typing import Annotated
 
 import numpy as np
 import tyro
-from numpy.typing import NDArray
 
-from skewmi.deploy.recording.reader import LAYOUT, Recording, read_recording
-from skewmi.deploy.session.session import STATUS_NAME
-from skewmi.deploy.session.states import SessionState
+from skewmi.deploy.recording.reader import read_recording
 from skewmi.deploy.wire import topics
-from skewmi.deploy.wire.messages import JointStates, decode_joint_states, decode_status
 from skewmi.errors import ConfigurationError, NotFoundError
-from skewmi.policy_io import Array, PolicyLayout
+from skewmi.evaluation.film import (
+    caption,
+    draw,
+    joint_series,
+    recorded_layout,
+    running_stamps,
+    split_episodes,
+)
 
 
 @dataclass(frozen=True)
@@ -49,21 +52,6 @@ class FilmCommand:
     """Print what was written as one JSON document."""
 
 
-@dataclass(frozen=True)
-class Series:
-    """Samples of named joints over time; stamps in ns of the robot server's clock."""
-
-    stamps_ns: NDArray[np.int64]
-    names: tuple[str, ...]
-    positions: Array
-
-    def at(self, stamps_ns: NDArray[np.int64]) -> Array:
-        """The newest sample at each time. Shape (len(stamps_ns), len(names))."""
-        index = np.searchsorted(self.stamps_ns, stamps_ns, side="right") - 1
-        picked: Array = self.positions[np.clip(index, 0, None)]
-        return picked
-
-
 def run_film(options: FilmCommand) -> int:
     """Draw. Returns 0."""
     if not options.rate > 0.0:
@@ -87,7 +75,9 @@ def run_film(options: FilmCommand) -> int:
             joint_series(recording, topics.YUMI_SCENE_STATES),
         ],
         times,
-        options,
+        width=options.width,
+        height=options.height,
+        camera=options.camera,
     )
 
     from skewmi.sim import rendering
@@ -115,105 +105,3 @@ def run_film(options: FilmCommand) -> int:
     }
     print(json.dumps(document) if options.json else "wrote " + " and ".join(written))
     return 0
-
-
-def recorded_layout(recording: Recording) -> PolicyLayout:
-    """The layout that the recording's policy used.
-
-    Raises:
-        ConfigurationError: The recording has none, or its task has no scene to draw.
-    """
-    if LAYOUT not in recording.metadata:
-        raise ConfigurationError(
-            f"{recording.path} does not say which task it shows; record with skewmi deploy"
-        )
-    return PolicyLayout.from_json(recording.metadata[LAYOUT])
-
-
-def joint_series(recording: Recording, topic: topics.Topic) -> Series:
-    """All samples of a JointState topic.
-
-    Raises:
-        ConfigurationError: There is none.
-    """
-    messages = recording.messages.get(topic.name, ())
-    samples: list[JointStates] = [decode_joint_states(message.payload) for message in messages]
-    if not samples:
-        raise ConfigurationError(f"{recording.path} holds nothing on {topic.name}")
-    names = samples[0].names
-    same = [sample for sample in samples if sample.names == names]
-    return Series(
-        np.array([sample.stamp_ns for sample in same], dtype=np.int64),
-        names,
-        np.array([sample.position for sample in same]),
-    )
-
-
-def running_stamps(recording: Recording) -> NDArray[np.int64]:
-    """When the session gave the arm to the policy, once per episode, ns of the server's clock."""
-    found = []
-    for message in recording.messages.get(topics.YUMI_STATUS.name, ()):
-        status = decode_status(message.payload)
-        entered = status.values.get("state") == SessionState.RUNNING.value
-        if status.name == STATUS_NAME and entered and "event" in status.values:
-            found.append(status.stamp_ns)
-    return np.array(found, dtype=np.int64)
-
-
-def split_episodes(
-    stamps_ns: NDArray[np.int64], starts_ns: NDArray[np.int64]
-) -> list[tuple[int, int]]:
-    """First and last observation of every episode.
-
-    Args:
-        stamps_ns: Of the observations, in order.
-        starts_ns: When each episode's policy began, in order.
-
-    Returns:
-        Stamps in ns; episodes without an observation are left out.
-    """
-    parts = np.split(stamps_ns, np.searchsorted(stamps_ns, starts_ns[1:]))
-    return [(int(part[0]), int(part[-1])) for part in parts if len(part)]
-
-
-def draw(
-    layout: PolicyLayout, series: list[Series], times: NDArray[np.int64], options: FilmCommand
-) -> list[NDArray[np.uint8]]:
-    """One frame per time, with every recorded joint where it was reported.
-
-    Raises:
-        ConfigurationError: The task has no scene with these joints.
-    """
-    from skewmi.sim import rendering
-
-    if layout.task != "open_press_close":
-        raise ConfigurationError(f"task {layout.task!r} has no robot scene to draw")
-    import mujoco
-
-    from skewmi.robot_models import yumi
-    from skewmi.sim.open_press_close.scene import OpenPressCloseScene
-
-    model = OpenPressCloseScene().model
-    data = mujoco.MjData(model)
-    columns = [(item, [int(model.joint(n).qposadr[0]) for n in item.names]) for item in series]
-    driving, following = (int(model.joint(n).qposadr[0]) for n in yumi.finger_names("right"))
-    frames = []
-    with rendering.Renderer(model, width=options.width, height=options.height) as renderer:
-        for t in times:
-            for item, addresses in columns:
-                data.qpos[addresses] = item.at(np.array([t]))[0]
-            data.qpos[following] = data.qpos[driving]
-            frames.append(renderer.draw(data, options.camera))
-    return frames
-
-
-def caption(names: tuple[str, ...], values: Array, seconds: float) -> str:
-    """Time and the scene's part of an observation, for people."""
-    shown = dict(zip(names, values, strict=True))
-    parts = [f"{seconds:4.1f} s"]
-    if "lid_angle" in shown:
-        # A shut lid rests a hair below zero on its stop: show 0, not -0.
-        parts.append(f"lid {abs(round(np.rad2deg(shown['lid_angle']))):3d} deg")
-    if "button_depth" in shown:
-        parts.append(f"button {abs(round(1e3 * shown['button_depth'])):2d} mm")
-    return "  ".join(parts)

@@ -1,0 +1,134 @@
+"""Pictures of one run: curves of all that was measured, and the states it has visited."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skewmi.batch_env import BatchEnv
+from skewmi.evaluation import drawing
+from skewmi.evaluation.learning import read_table
+from skewmi.policy_io import PolicyLayout
+from skewmi.sim import tasks
+from skewmi.train.checkpoint import read_checkpoint
+from skewmi.train.config import TrainConfig
+from skewmi.train.history import visited_states
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_CURVES: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
+    ("entropy (as published: no cell area)", (("entropy", ""),)),
+    ("differential entropy, nats", (("differential_entropy", ""),)),
+    ("coverage", (("covered_cells", "reachable cells"), ("coverage", "as published"))),
+    (
+        "rewarded share",
+        (("rewarded_share", "of episodes"), ("evaluation_share", "of last states, evaluation")),
+    ),
+    ("extrinsic return", (("return", "training"), ("evaluation_return", "evaluation"))),
+    ("policy entropy, nats, and temperature", (("policy_entropy", "entropy"),)),
+)
+_MAX_POINTS = 60_000
+
+
+def draw_curves(run_dir: Path, path: Path, dpi: int) -> Path:
+    """Curves of the run's table against trajectories.
+
+    Raises:
+        CheckpointError: The table is missing or empty.
+    """
+    table = read_table(run_dir)
+    figure, axes = drawing.new_axes(2, 3, 12.0, 6.2)
+    trajectories = np.array(table["trajectories"])
+    for axis, (title, curves) in zip(axes.ravel(), _CURVES, strict=True):
+        for (name, label), colour in zip(curves, (drawing.BLUE, drawing.ORANGE), strict=False):
+            values = np.array(table[name])
+            known = np.isfinite(values)
+            axis.plot(trajectories[known], values[known], color=colour, label=label or None)
+        if "temperature" in title:
+            twin = axis.twinx()
+            values = np.array(table["temperature"])
+            twin.semilogy(trajectories, values, color=drawing.ORANGE)
+            twin.set_ylabel("temperature", color=drawing.ORANGE)
+        elif len(curves) > 1:
+            axis.legend(frameon=False, fontsize=8)
+        axis.set_title(title, fontsize=10)
+        axis.set_xlabel("trajectories")
+        axis.set_xlim(left=0)
+    _mark_discoveries(run_dir, axes.ravel()[2])
+    figure.suptitle(f"{run_dir.name}: {int(table['step'][-1]):,} environment steps", fontsize=11)
+    drawing.save(figure, path, dpi)
+    return path
+
+
+def _mark_discoveries(run_dir: Path, axis: Axes) -> None:
+    """Vertical lines at first times."""
+    found = read_checkpoint(run_dir).state["discoveries"]
+    for k, (name, first) in enumerate(found.items()):
+        axis.axvline(first["trajectory"], color=drawing.GREY, linewidth=0.7, linestyle=":")
+        axis.text(
+            first["trajectory"], 0.02 + 0.07 * k, f" {name}", fontsize=6.5, color=drawing.GREY,
+            transform=axis.get_xaxis_transform(),
+        )  # fmt: skip
+
+
+def draw_coverage(
+    run_dir: Path, config: TrainConfig, layout: PolicyLayout, path: Path, dpi: int
+) -> Path:
+    """Visited states over what is reachable, coloured by when they were met.
+
+    A task with two state fields gets one panel, with its walls; others one for the first two
+    measured fields and one for the hand's vertical plane, as far as the layout has them.
+    """
+    states, _ = visited_states(run_dir)
+    episodes = np.repeat(np.arange(len(states)), states.shape[1])
+    flat = states.reshape(-1, states.shape[-1])
+    if len(flat) > _MAX_POINTS:
+        chosen = np.random.default_rng(0).choice(len(flat), size=_MAX_POINTS, replace=False)
+        chosen.sort()
+        flat, episodes = flat[chosen], episodes[chosen]
+    names = [field.name for field in layout.state_fields]
+    grid = [names.index(axis.field) for axis in config.measure.grid[:2]]
+    panels = [grid if len(grid) == 2 else [0, 1]]
+    if {"hand_y", "hand_z"} <= set(names):
+        panels.append([names.index("hand_y"), names.index("hand_z")])
+    figure, axes = drawing.new_axes(1, len(panels), 6.5 * len(panels), 5.0)
+    for axis, columns in zip(axes[0], panels, strict=True):
+        plane = layout.state_dim == 2
+        if plane:
+            _draw_walls(axis, _environment(config), layout, columns)
+        points = axis.scatter(
+            flat[:, columns[0]], flat[:, columns[1]], c=episodes, s=2.0, linewidths=0,
+            cmap="viridis", rasterized=True,
+        )  # fmt: skip
+        drawing.draw_region(axis, layout, columns)
+        for column, label in zip(columns, (axis.set_xlabel, axis.set_ylabel), strict=True):
+            field = layout.state_fields[column]
+            label(f"{field.name} [{field.unit}]")
+        if plane:
+            axis.set_aspect("equal")
+    figure.colorbar(points, ax=axes[0], label="trajectory", shrink=0.8)
+    figure.suptitle(
+        f"{layout.task}: states visited in {len(states):,} trajectories (reward region orange)",
+        fontsize=11,
+    )
+    drawing.save(figure, path, dpi)
+    return path
+
+
+def _environment(config: TrainConfig) -> BatchEnv:
+    options: dict[str, Any] = dict(config.task_options)
+    return tasks.make_batch(config.task, 1, num_threads=1, **options)
+
+
+def _draw_walls(axis: Axes, env: BatchEnv, layout: PolicyLayout, columns: Sequence[int]) -> None:
+    extent, states = drawing.raster(layout, columns, 400)
+    blocked: NDArray[np.bool_] = ~env.reachable(states)
+    axis.imshow(
+        np.where(blocked, 0.35, 0.0), extent=extent, origin="lower", cmap="Greys", vmin=0.0,
+        vmax=1.0, zorder=0,
+    )  # fmt: skip
