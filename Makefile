@@ -7,7 +7,7 @@ TORCH ?= torch==2.13.0
 BIN := $(VENV)/bin
 JOBS ?= 2
 
-.PHONY: demo test test-slow check format bench policy clean help
+.PHONY: demo test test-slow fuzz mutation check format bench policy clean help
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
@@ -31,6 +31,15 @@ test: $(VENV)/installed  ## the whole suite but the slow tests
 
 test-slow: $(VENV)/installed  ## the tests marked slow
 	$(BIN)/python -m pytest -q -n $(JOBS) -m slow
+
+fuzz: $(VENV)/installed  ## a million adversarial planner cycles (half an hour)
+	$(BIN)/python tests/adversarial/planner_fuzz.py --cycles 1000000 --processes $(JOBS) \
+		--json --out results/planner_fuzz.json
+
+mutation: $(VENV)/installed  ## does a test notice every weakened check? (minutes)
+	@$(BIN)/python -c 'import cosmic_ray' 2>/dev/null || \
+		$(BIN)/python -m pip install -q 'cosmic-ray>=8.7'
+	$(BIN)/python tests/adversarial/mutation.py --json --out results/mutation.json
 
 check: $(VENV)/installed  ## lint, formatting and types
 	$(BIN)/ruff check .

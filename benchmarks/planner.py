@@ -14,16 +14,12 @@ from __future__ import annotations
 
 import sys
 import time
-from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import common
+import numpy as np
 import planner_path
+from numpy.typing import NDArray
 from planner_bare import LIBRARIES, OWN, BareCalls
 from planner_judge import UrdfArm
 from planner_robot_server import measure_robot_server

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
+import planner_fuzz
+import planner_scenes
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -21,14 +21,8 @@ from skewmi.robot_models import frames, limits, yumi
 from skewmi.robot_models.frames import rotation_vector
 from skewmi.robot_models.kinematics import ArmKinematics
 
-BENCHMARKS = Path(__file__).resolve().parents[3] / "benchmarks"
 START = np.array(yumi.PRESS_START_CONFIGURATION)
 KINEMATICS = ArmKinematics("right")
-
-sys.path.insert(0, str(BENCHMARKS))
-
-import planner_fuzz  # noqa: E402
-import planner_scenes  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +78,8 @@ def follow(
     )
 
 
-# Any command, any limits: nothing is ever broken. The full version is benchmarks/planner_fuzz.py.
+# Any command, any limits: nothing is ever broken. The full version is
+# tests/adversarial/planner_fuzz.py.
 
 
 @pytest.mark.parametrize("first_seed", [1000, 2000, 3000])

@@ -1,15 +1,18 @@
 """The planner's parts against closed forms, libraries and each other; corners; resumed fuzzing."""
 
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import mink
 import numpy as np
+import planner_fuzz
+import planner_path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from planner_fuzz_round import run_round
+from planner_judge import Breach, Judge, UrdfArm
 
 from skewmi.deploy.motion.brake import (
     ApproachSpeed,
@@ -29,14 +32,6 @@ from skewmi.deploy.motion.differential_ik import (
 from skewmi.deploy.motion.followed_path import FollowedPath
 from skewmi.deploy.motion.planner import Planner
 from skewmi.robot_models import frames, limits, yumi
-
-BENCHMARKS = Path(__file__).resolve().parents[3] / "benchmarks"
-sys.path.insert(0, str(BENCHMARKS))
-
-import planner_fuzz  # noqa: E402
-import planner_path  # noqa: E402
-from planner_fuzz_round import run_round  # noqa: E402
-from planner_judge import Breach, Judge, UrdfArm  # noqa: E402
 
 START = np.array(yumi.PRESS_START_CONFIGURATION)
 NUMBER = st.floats(-1.0, 1.0)

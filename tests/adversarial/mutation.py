@@ -1,7 +1,7 @@
 """Mutation testing of what judges commands: does a test notice every weakened check?
 
     pip install 'cosmic-ray>=8.7'
-    python benchmarks/mutation.py --out results/mutation.json
+    python tests/adversarial/mutation.py --out results/mutation.json
 
 Cosmic Ray makes every small change it knows (and those of `mutants`) in a copy of the
 package, one at a time, and the module's own unit tests run on each. A change that no test notices
@@ -31,16 +31,16 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, Phase, settings
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 
-import common
+import result_document
 
 try:
     from mutants import Mutant, list_mutants
 except ModuleNotFoundError as error:
     sys.exit(
-        f"benchmarks/mutation.py needs {error.name}, which is not installed; install Cosmic Ray "
-        "into the environment of skewmi: pip install 'cosmic-ray>=8.7'"
+        f"tests/adversarial/mutation.py needs {error.name}, which is not installed; install Cosmic "
+        "Ray into the environment of skewmi: pip install 'cosmic-ray>=8.7'"
     )
 
 
@@ -74,7 +74,7 @@ TARGETS = (
     Target("skewmi/deploy/safety/lease.py", ("test_lease.py",)),
 )
 
-EXPLANATIONS = common.REPOSITORY / "docs" / "mutation.md"
+EXPLANATIONS = result_document.REPOSITORY / "docs" / "mutation.md"
 
 # What a check takes depends on the machine's load and would kill mutants at random; what a module
 # imports, tested in an interpreter of its own, does not depend on any mutation here.
@@ -86,7 +86,7 @@ machine decide."""
 
 
 def main() -> int:
-    parser = common.argument_parser(__doc__)
+    parser = result_document.argument_parser(__doc__)
     parser.add_argument("--only", default="", help="only modules whose path has this in it")
     parser.add_argument(
         "--explained",
@@ -123,7 +123,7 @@ def main() -> int:
                 figures[target.path], survived = run_target(target, options.seed)
                 survivors += survived
 
-    document = common.write_result(
+    document = result_document.write_result(
         "mutation",
         {"modules": figures, "survivors": [record(survivor) for survivor in survivors]},
         options.out,
@@ -133,7 +133,7 @@ def main() -> int:
             "tests": {target.path: target.tests for target in targets},
         },
     )
-    common.print_result(document, as_json=options.json)
+    result_document.print_result(document, as_json=options.json)
     return judge([(survivor.place, survivor.mutation) for survivor in survivors], targets)
 
 
@@ -149,18 +149,19 @@ def judge(survivors: list[tuple[str, str]], targets: tuple[Target, ...]) -> int:
     unexplained, outdated = sorted(set(survivors) - rows), sorted(rows - set(survivors))
     for title, some in (("not explained", unexplained), ("explained, but killed", outdated)):
         for place, mutation in some:
-            common.progress(f"{title}: | {place} | {mutation} |")
+            result_document.progress(f"{title}: | {place} | {mutation} |")
     return 1 if unexplained or outdated else 0
 
 
 def make_copy(folder: Path) -> Path:
     """Copy what the tests need into a folder, so that nobody's edits change a run."""
     ignored = shutil.ignore_patterns("__pycache__")
-    shutil.copytree(common.REPOSITORY / "skewmi", folder / "skewmi", ignore=ignored)
-    shutil.copy(common.REPOSITORY / "pyproject.toml", folder)
+    shutil.copytree(result_document.REPOSITORY / "skewmi", folder / "skewmi", ignore=ignored)
+    shutil.copy(result_document.REPOSITORY / "pyproject.toml", folder)
     (folder / "tests" / "support").mkdir(parents=True)
     for name in {name for target in TARGETS for name in target.tests}:
-        shutil.copy(common.REPOSITORY / "tests" / "deploy" / "safety" / name, folder / "tests")
+        source = result_document.REPOSITORY / "tests" / "deploy" / "safety" / name
+        shutil.copy(source, folder / "tests")
     return folder
 
 
@@ -207,9 +208,9 @@ class ForkPerMutant:
             code = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
             self.outcomes.append("timeout" if code == -signal.SIGPROF else "killed" * bool(code))
             if not code:
-                common.progress(f"tests pass with {name}")
+                result_document.progress(f"tests pass with {name}")
             if len(self.outcomes) % 50 == 0:
-                common.progress(f"{len(self.outcomes)} of {len(self._versions)}")
+                result_document.progress(f"{len(self.outcomes)} of {len(self._versions)}")
         return True
 
     @pytest.hookimpl(tryfirst=True)
@@ -252,7 +253,9 @@ def run_target(target: Target, seed: int) -> tuple[dict[str, Any], list[Mutant]]
         sys.exit(f"the tests of {target.path} fail on its copy before any mutation")
     unmutated_s = time.monotonic() - begin
     mutants = list_mutants(path)
-    common.progress(f"{target.path}: {len(mutants)} mutants, {unmutated_s:.1f} s without mutation")
+    result_document.progress(
+        f"{target.path}: {len(mutants)} mutants, {unmutated_s:.1f} s without mutation"
+    )
     begin = time.monotonic()
     versions = [(f"{mutant.place}: {mutant.mutation}", mutant.content) for mutant in mutants]
     outcomes = test_versions(target, versions, seed)

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections import Counter
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 from planner_judge import Breach, Judge, UrdfArm
 from planner_scenes import ADVERSARIES, Command, commands, draw_scene, not_numbers
 

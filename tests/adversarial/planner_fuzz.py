@@ -1,6 +1,6 @@
 """Adversarial commands against the planner, judged by checks written without it.
 
-    python benchmarks/planner_fuzz.py --cycles 1000000 --out results/planner_fuzz.json
+    python tests/adversarial/planner_fuzz.py --cycles 1000000 --out results/planner_fuzz.json
 
 Each round draws limits and a scene (`planner_scenes`), and then a second or more of commands each
 of four kinds of adversary. Judged are (`planner_judge`)
@@ -34,9 +34,9 @@ from typing import Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 
-import common
+import result_document
 from planner_fuzz_round import run_round
 
 from skewmi.deploy.safety.limits import LimitUsage
@@ -45,7 +45,7 @@ SOURCES = (
     "skewmi/deploy/motion/*.py",
     "skewmi/deploy/safety/limits.py",
     "skewmi/robot_models/*.py",
-    "benchmarks/planner_[fjs]*.py",
+    "tests/adversarial/planner_[fjs]*.py",
 )
 """What a round's outcome depends on."""
 
@@ -148,7 +148,7 @@ def fingerprint() -> str:
     """Hash of the sources that rounds depend on."""
     digest = hashlib.sha256()
     for pattern in SOURCES:
-        for path in sorted(common.REPOSITORY.glob(pattern)):
+        for path in sorted(result_document.REPOSITORY.glob(pattern)):
             digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 
@@ -208,13 +208,13 @@ def fuzz(
         if log:
             log.append(result)
         if result["breach"]:
-            common.progress(f"BREACH: {result['breach']}")
+            result_document.progress(f"BREACH: {result['breach']}")
         now, count = time.monotonic(), totals.adversarial_cycles
         if count >= cycles or now - begin > seconds:
             break
         if now - last > 10.0:
             last, rate = now, (count - before) / (now - begin)
-            common.progress(
+            result_document.progress(
                 f"{count} of {cycles} cycles, {totals.rounds} rounds, "
                 f"{len(totals.breaches)} breaches, {rate:.0f} cycles/s, "
                 f"{(cycles - count) / rate / 60:.1f} min to go"
@@ -223,7 +223,7 @@ def fuzz(
 
 
 def main() -> int:
-    parser = common.argument_parser(__doc__.splitlines()[0] if __doc__ else None)
+    parser = result_document.argument_parser(__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument(
         "--cycles", type=int, default=20_000, help="cycles of 20 ms that adversaries command"
     )
@@ -240,12 +240,12 @@ def main() -> int:
     log = RoundLog(path, options.seed) if path is not None else None
     totals = fuzz(options.cycles, options.seed, processes=options.processes, log=log)
     config = {"cycles": options.cycles, "sources": sources}
-    document = common.write_result(
+    document = result_document.write_result(
         "planner_fuzz", totals.figures(), options.out, seed=options.seed, config=config
     )
     if log is not None and options.rounds is None:
         log.remove()
-    common.print_result(document, as_json=options.json)
+    result_document.print_result(document, as_json=options.json)
     return 1 if totals.breaches else 0
 
 
