@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import subprocess
 import sys
 
@@ -32,6 +33,7 @@ FORBIDDEN: dict[str, tuple[str, ...]] = {
     ),
     "skewmi.export": ("zenoh", "mujoco", "skewmi.sim", "skewmi.robot_models"),
     "skewmi.deploy": ("torch", "onnx", "skewmi.sim", "skewmi.train", "skewmi.export"),
+    "skewmi.evaluation": ("tyro", "skewmi.sim", "skewmi.export", "skewmi.cli"),
     "skewmi.cli.main": ("torch", "mujoco", "zenoh", "skewmi.sim", "skewmi.train"),
 }
 """Package -> what must not be loaded after importing all of it (`cli.main`: only itself)."""
@@ -50,7 +52,8 @@ print("\\n".join(sys.modules))
 """
 
 
-def loaded_modules(package: str, skip: tuple[str, ...]) -> set[str]:
+@functools.cache
+def loaded_modules(package: str, skip: tuple[str, ...]) -> frozenset[str]:
     result = subprocess.run(
         [sys.executable, "-c", IMPORT_ALL, package, *skip],
         capture_output=True,
@@ -58,7 +61,7 @@ def loaded_modules(package: str, skip: tuple[str, ...]) -> set[str]:
         check=False,
     )
     assert result.returncode == 0, result.stderr
-    return set(result.stdout.split())
+    return frozenset(result.stdout.split())
 
 
 @pytest.mark.parametrize("package", FORBIDDEN)
@@ -66,6 +69,19 @@ def test_package_imports_only_what_the_architecture_allows(package: str) -> None
     loaded = loaded_modules(package, MAY_IMPORT_SIM if package == "skewmi.deploy" else ())
     assert package in loaded
     assert sorted(loaded.intersection(FORBIDDEN[package])) == []
+
+
+def test_only_pictures_of_runs_need_torch() -> None:
+    of_runs = ("skewmi.evaluation.figures", "skewmi.evaluation.learning")
+    loaded = loaded_modules("skewmi.evaluation", of_runs)
+    assert sorted(loaded & {"torch", "skewmi.train"}) == []
+
+
+def test_only_commands_import_evaluation() -> None:
+    for package in FORBIDDEN:
+        if package not in ("skewmi.evaluation", "skewmi.cli.main"):
+            loaded = loaded_modules(package, MAY_IMPORT_SIM)
+            assert "skewmi.evaluation" not in loaded, package
 
 
 def test_simulated_robot_server_runs_without_torch() -> None:

@@ -10,13 +10,16 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
+from skewmi.batch_env import BatchEnv
 from skewmi.evaluation.figures import draw_coverage, draw_curves
 from skewmi.evaluation.learning import draw_learning, read_record
+from skewmi.sim import tasks
 from skewmi.train.checkpoint import read_run_header
+from skewmi.train.config import TrainConfig
 
 
 @dataclass(frozen=True)
@@ -40,7 +43,16 @@ def run_figures(options: FiguresCommand) -> int:
     out.mkdir(parents=True, exist_ok=True)
     files = [draw_curves(options.run_dir, out / "curves.png", options.dpi)]
     files.append(draw_learning([read_record(options.run_dir)], out / "learning.png", options.dpi))
-    files.append(draw_coverage(options.run_dir, config, layout, out / "coverage.png", options.dpi))
+    reachable = _environment(config).reachable if layout.state_dim == 2 else None
+    coverage = out / "coverage.png"
+    files.append(
+        draw_coverage(options.run_dir, config, layout, coverage, options.dpi, reachable=reachable)
+    )
     names = [str(path) for path in files]
     print(json.dumps({"files": names}) if options.json else "\n".join(names))
     return 0
+
+
+def _environment(config: TrainConfig) -> BatchEnv:
+    options: dict[str, Any] = dict(config.task_options)
+    return tasks.make_batch(config.task, 1, num_threads=1, **options)

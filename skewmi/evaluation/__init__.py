@@ -7,6 +7,6 @@
 | `deploy.recording`'s reader and `deploy.wire`'s messages | films |
 | `sim`'s rendering and scenes, only inside functions | films |
 
-Never `cli`, which imports this; never `export`. `sim`, `train`, `deploy` and `export` do not import
-it. Only `learning` and `figures`, which read run directories, need torch.
+Never `cli`, which alone imports this; never `export`, tyro or, on import, `sim`. Only `learning`
+and `figures`, which read run directories, need torch.
 """

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from skewmi.batch_env import BatchEnv
 from skewmi.evaluation import drawing
 from skewmi.evaluation.learning import read_table
-from skewmi.policy_io import PolicyLayout
-from skewmi.sim import tasks
+from skewmi.policy_io import Array, PolicyLayout
 from skewmi.train.checkpoint import read_checkpoint
 from skewmi.train.config import TrainConfig
 from skewmi.train.history import visited_states
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+Reachable = Callable[[Array], NDArray[np.bool_]]
+"""Which states can be reached. Shape (..., state_dim) -> (...)."""
 
 _CURVES: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
     ("entropy (as published: no cell area)", (("entropy", ""),)),
@@ -77,12 +78,26 @@ def _mark_discoveries(run_dir: Path, axis: Axes) -> None:
 
 
 def draw_coverage(
-    run_dir: Path, config: TrainConfig, layout: PolicyLayout, path: Path, dpi: int
+    run_dir: Path,
+    config: TrainConfig,
+    layout: PolicyLayout,
+    path: Path,
+    dpi: int,
+    *,
+    reachable: Reachable | None = None,
 ) -> Path:
     """Visited states over what is reachable, coloured by when they were met.
 
     A task with two state fields gets one panel, with its walls; others one for the first two
     measured fields and one for the hand's vertical plane, as far as the layout has them.
+
+    Args:
+        run_dir: Of the run.
+        config, layout: Of the run.
+        path: Picture file to write.
+        dpi: Dots per inch.
+        reachable: `BatchEnv.reachable` of the run's task, for the walls of two state fields; None
+            draws none.
     """
     states, _ = visited_states(run_dir)
     episodes = np.repeat(np.arange(len(states)), states.shape[1])
@@ -99,8 +114,8 @@ def draw_coverage(
     figure, axes = drawing.new_axes(1, len(panels), 6.5 * len(panels), 5.0)
     for axis, columns in zip(axes[0], panels, strict=True):
         plane = layout.state_dim == 2
-        if plane:
-            _draw_walls(axis, _environment(config), layout, columns)
+        if plane and reachable is not None:
+            _draw_walls(axis, reachable, layout, columns)
         points = axis.scatter(
             flat[:, columns[0]], flat[:, columns[1]], c=episodes, s=2.0, linewidths=0,
             cmap="viridis", rasterized=True,
@@ -120,14 +135,11 @@ def draw_coverage(
     return path
 
 
-def _environment(config: TrainConfig) -> BatchEnv:
-    options: dict[str, Any] = dict(config.task_options)
-    return tasks.make_batch(config.task, 1, num_threads=1, **options)
-
-
-def _draw_walls(axis: Axes, env: BatchEnv, layout: PolicyLayout, columns: Sequence[int]) -> None:
+def _draw_walls(
+    axis: Axes, reachable: Reachable, layout: PolicyLayout, columns: Sequence[int]
+) -> None:
     extent, states = drawing.raster(layout, columns, 400)
-    blocked: NDArray[np.bool_] = ~env.reachable(states)
+    blocked = ~reachable(states)
     axis.imshow(
         np.where(blocked, 0.35, 0.0), extent=extent, origin="lower", cmap="Greys", vmin=0.0,
         vmax=1.0, zorder=0,
