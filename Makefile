@@ -7,7 +7,7 @@ TORCH ?= torch==2.13.0
 BIN := $(VENV)/bin
 JOBS ?= 2
 
-.PHONY: demo test test-slow fuzz mutation check format bench policy clean help
+.PHONY: demo test test-slow fuzz mutation check format bench structure policy clean help
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
@@ -54,6 +54,9 @@ bench: $(VENV)/installed  ## every benchmark of a few minutes; results/ gets the
 	$(BIN)/python benchmarks/env.py --json --out results/env.json
 	$(BIN)/python benchmarks/sac.py --json --out results/sac.json
 	$(BIN)/python benchmarks/planner.py --json --out results/planner.json
+
+structure: $(VENV)/installed  ## counts of how the project is built
+	@$(BIN)/python benchmarks/structure.py
 
 policy: $(VENV)/installed  ## train the bundled policy again (some 30 minutes) into runs/
 	$(BIN)/skewmi train --task open_press_close --run-dir runs/seed-0 --stop-on-convergence --resume
