@@ -26,19 +26,26 @@ from planner_robot_server import measure_robot_server
 from planner_scenes import press_workspace
 from planner_timing import Pace, Seconds, StageTimes, percentiles
 
-from skewmi.deploy.motion.planner import PlannedChunk, Planner
+from skewmi.deploy.motion.planner import Planner
 from skewmi.deploy.realtime import hot_loop
 from skewmi.deploy.safety.guard import Guard
 from skewmi.deploy.safety.limits import ChunkChecker
-from skewmi.deploy.wire.messages import TrajectoryChunk, encode_chunk
+from skewmi.deploy.wire.messages import encode_chunk
 from skewmi.robot_models import limits, yumi
 from skewmi.robot_models.kinematics import ArmKinematics
+from skewmi.trajectory import (
+    CYCLE_NS,
+    CYCLE_S,
+    CYCLE_TICKS,
+    GRID_S,
+    JointPoint,
+    JointTrajectory,
+    TrajectoryChunk,
+)
 
 Array = NDArray[np.float64]
 
-STEPS = 5
-CYCLE_S = 0.02
-TICK_S = 0.004
+CYCLES_PER_COMMAND = 5
 SHARE_BAR = 0.25
 """Of cycle and tick that the work may take in 99.9 % of the cases."""
 RATIO_BAR = 1.3
@@ -76,17 +83,17 @@ class Cycle:
         self._names = yumi.joint_names("right")
         self._rng = np.random.default_rng(seed)
         self.count = self.continued = 0
-        self.state = START, np.zeros(7), np.zeros(7)
+        self.state = JointPoint(START, np.zeros(7), np.zeros(7))
         self.earlier = np.tile(START, (3, 1))
         # As the session does: the first message of each length is laid out slowly.
         for samples in range(2, 120):
-            self._encode(np.zeros((samples, 7)), np.zeros((samples, 7)), np.zeros((samples, 7)))
+            self._encode(JointTrajectory.resting(np.zeros(7), samples))
 
-    def run(self) -> tuple[PlannedChunk, tuple[Array, Array, Array], Array, Seconds]:
+    def run(self) -> tuple[JointTrajectory, JointPoint, Array, Seconds]:
         """One cycle: its chunk, the state it started from, positions before, time it took."""
         planner, times, state, earlier = self.planner, self._times, self.state, self.earlier
         cpu, wall = time.thread_time(), time.perf_counter()
-        if self.count % STEPS == 0:
+        if self.count % CYCLES_PER_COMMAND == 0:
             target = planner.command_position + self._rng.uniform(-0.015, 0.015, 3)
             planner.set_target(np.clip(target, self.workspace.low, self.workspace.high), 0.1)
         with times.of("plan"):
@@ -96,17 +103,15 @@ class Cycle:
         with times.of("guard"):
             self.guard.check(chunk.q, chunk.v, chunk.a)
         with times.of("encode"):
-            self._encode(chunk.q, chunk.v, chunk.a)
+            self._encode(chunk)
         took = time.perf_counter() - wall, time.thread_time() - cpu
         self.count += 1
-        self.continued += chunk.continued is not None
-        self.state, self.earlier = chunk.state(STEPS), chunk.q[STEPS - 3 : STEPS]
+        self.continued += planner.held_back is not None
+        self.state, self.earlier = chunk.point(CYCLE_TICKS), chunk.q[CYCLE_TICKS - 3 : CYCLE_TICKS]
         return chunk, state, earlier, took
 
-    def _encode(self, q: Array, v: Array, a: Array) -> None:
-        grid_ns = np.arange(len(q), dtype=np.int64) * 4_000_000
-        stamp_ns = self.count * 20_000_000
-        encode_chunk(TrajectoryChunk(stamp_ns, self._names, grid_ns, q, v, a))
+    def _encode(self, samples: JointTrajectory) -> None:
+        encode_chunk(TrajectoryChunk.of(self.count * CYCLE_NS, self._names, samples))
 
 
 def measure_cycles(cycles: int, seed: int) -> dict[str, Any]:
@@ -188,7 +193,7 @@ def main() -> int:
     cold = measure_robot_server(1.0, options.seed)
     server = measure_robot_server(options.seconds, options.seed)
     server["slowest_tick_after_a_cold_start_ms"] = cold["tick"]["max_ms"]
-    server["p99_9_share_of_tick"] = round(server["tick"]["p99_9_ms"] / (1e3 * TICK_S), 4)
+    server["p99_9_share_of_tick"] = round(server["tick"]["p99_9_ms"] / (1e3 * GRID_S), 4)
     common.progress("paths")
     path = measure_paths()
     verdicts = path["verdict"]

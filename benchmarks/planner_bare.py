@@ -25,7 +25,6 @@ from skewmi.deploy.motion.differential_ik import (
     POSTURE_RATE,
 )
 from skewmi.deploy.motion.joint_shaper import JointShaper
-from skewmi.deploy.motion.planner import PlannedChunk
 from skewmi.deploy.safety.guard import FEW_SAMPLES, LEVER
 from skewmi.deploy.safety.limits import ChunkChecker
 from skewmi.policy_io import Workspace
@@ -33,11 +32,10 @@ from skewmi.robot_models import mjcf, urdf, yumi
 from skewmi.robot_models.frames import rotation_from_quaternion
 from skewmi.robot_models.kinematics import ArmKinematics
 from skewmi.robot_models.limits import JointLimits
+from skewmi.trajectory import CYCLE_TICKS, GRID_S, JointPoint, JointTrajectory
 
 Array = NDArray[np.float64]
 
-GRID_DT = 0.004
-STEPS = 5
 LIBRARIES = ("mink", "ruckig", "pinocchio")
 OWN = ("stop", "check", "position_guard")
 
@@ -58,9 +56,9 @@ class BareMink:
             "site",
             position_cost=POSITION_COST,
             orientation_cost=ORIENTATION_COST,
-            gain=FEEDBACK_RATE * GRID_DT,
+            gain=FEEDBACK_RATE * GRID_S,
         )
-        self.posture = mink.PostureTask(model, cost=POSTURE_COST, gain=POSTURE_RATE * GRID_DT)
+        self.posture = mink.PostureTask(model, cost=POSTURE_COST, gain=POSTURE_RATE * GRID_S)
         self.posture.set_target(np.array(workspace.start_configuration))
         speeds = dict(zip(yumi.joint_names("right"), bounds.velocity.tolist(), strict=True))
         self.limits = [mink.VelocityLimit(model, speeds)]
@@ -76,7 +74,7 @@ class BareMink:
         return mink.solve_ik(
             self.configuration,
             (self.hand, self.posture),
-            GRID_DT,
+            GRID_S,
             "daqp",
             damping=0.0,
             limits=self.limits,
@@ -95,7 +93,7 @@ def _ruckig(axes: int, acceleration: Array, jerk: Array) -> Callable[[list[list[
         plan.current_position, plan.current_velocity, plan.current_acceleration = state[:3]
         plan.target_velocity = state[3]
         otg.calculate(plan, trajectory)
-        trajectory.at_time(GRID_DT)
+        trajectory.at_time(GRID_S)
 
     return step
 
@@ -105,7 +103,7 @@ class BareCalls:
 
     def __init__(self, workspace: Workspace, bounds: JointLimits) -> None:
         self._mink = BareMink(workspace, bounds)
-        self._joints = JointShaper(bounds, GRID_DT)
+        self._joints = JointShaper(bounds)
         self._seven = _ruckig(7, self._joints.acceleration, self._joints.jerk)
         self._three = _ruckig(3, self._joints.acceleration[:3], self._joints.jerk[:3])
         self._model = pinocchio.buildModelFromXML(urdf.build_urdf(arms=("right",)))
@@ -120,20 +118,20 @@ class BareCalls:
 
     def run(
         self,
-        chunk: PlannedChunk,
-        state: tuple[Array, Array, Array],
+        chunk: JointTrajectory,
+        state: JointPoint,
         earlier: Array,
         times: StageTimes,
     ) -> None:
         """Time every library's calls for the cycle that planned `chunk` from `state`, at which the
         three positions `earlier` led."""
         q, v, a = chunk.q, chunk.v, chunk.a
-        position, _ = self._kinematics.forward(q[: STEPS + 1])
+        position, _ = self._kinematics.forward(q[: CYCLE_TICKS + 1])
         targets = [self._mink.target(p) for p in position[1:] + 0.01]
         with times.of("mink"):
-            for k in range(STEPS):
+            for k in range(CYCLE_TICKS):
                 self._mink.solve(q[k], targets[k])
-        seven = [[x.tolist() for x in (q[k], v[k], a[k], v[k + 1])] for k in range(STEPS)]
+        seven = [[x.tolist() for x in (q[k], v[k], a[k], v[k + 1])] for k in range(CYCLE_TICKS)]
         three = [[x[:3] for x in step] for step in seven]
         with times.of("ruckig"):
             for small, large in zip(three, seven, strict=True):
@@ -147,10 +145,10 @@ class BareCalls:
             part[:, self._columns] = samples
         with times.of("pinocchio"):
             self._pinocchio(*full)
-        self._joints.restore(*chunk.state(STEPS))
+        self._joints.restore(chunk.point(CYCLE_TICKS))
         with times.of("stop"):
             stop = self._joints.stop()
-            stop.sample(GRID_DT)
+            stop.sample(GRID_S)
             stop.extent()
         with times.of("check"):
             self._checker.check(q, v, a, state, earlier=earlier)
@@ -165,7 +163,7 @@ class BareCalls:
             pinocchio.forwardKinematics(model, data, q[k])
             pose = pinocchio.updateFramePlacement(model, data, tool)
             pinocchio.log3(self._rotation.T @ pose.rotation)
-        for k in (STEPS, len(q) - 1):
+        for k in (CYCLE_TICKS, len(q) - 1):
             frame = pinocchio.LOCAL_WORLD_ALIGNED
             jacobian = pinocchio.computeFrameJacobian(model, data, q[k], tool, frame)
             np.linalg.svd(self._weights * jacobian[:, self._columns], compute_uv=False)

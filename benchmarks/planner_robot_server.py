@@ -16,21 +16,19 @@ from planner_timing import Pace, StageTimes, percentiles
 
 from skewmi.deploy.motion.planner import Planner
 from skewmi.deploy.realtime import hot_loop
-from skewmi.deploy.robot.backend import GRID_NS, STATE_PERIOD_TICKS
 from skewmi.deploy.robot.backends.mujoco.backend import SimTwin
 from skewmi.deploy.robot.controller import RobotController
 from skewmi.deploy.robot.run import limit_check
 from skewmi.deploy.safety.validation import ChunkValidator, ValidationRules
 from skewmi.deploy.wire.messages import (
     JointStates,
-    TrajectoryChunk,
     encode_chunk,
     encode_joint_states,
 )
 from skewmi.policy_io import Workspace
 from skewmi.robot_models import limits, yumi
+from skewmi.trajectory import CYCLE_S, CYCLE_TICKS, GRID_NS, GRID_S, TrajectoryChunk
 
-TICKS_PER_CYCLE = 5
 GID = bytes(range(16))
 LEAD_TICKS = 5
 FIRST_TICK = 1_000
@@ -48,11 +46,8 @@ def plan_chunks(workspace: Workspace, profile: str, cycles: int, seed: int) -> l
             target = planner.command_position + rng.uniform(-0.015, 0.015, 3)
             planner.set_target(np.clip(target, workspace.low, workspace.high), 0.1)
         chunk = planner.step()
-        stamp_ns = (FIRST_TICK + LEAD_TICKS + TICKS_PER_CYCLE * cycle) * GRID_NS
-        times = np.arange(len(chunk.q), dtype=np.int64) * GRID_NS
-        messages.append(
-            encode_chunk(TrajectoryChunk(stamp_ns, names, times, chunk.q, chunk.v, chunk.a))
-        )
+        stamp_ns = (FIRST_TICK + LEAD_TICKS + CYCLE_TICKS * cycle) * GRID_NS
+        messages.append(encode_chunk(TrajectoryChunk.of(stamp_ns, names, chunk)))
     return messages
 
 
@@ -66,7 +61,7 @@ def measure_robot_server(seconds: float, seed: int, profile: str = "lab") -> dic
     workspace = backend.layout.workspace
     assert workspace is not None
     bounds = limits.profile(profile)
-    cycles = round(seconds / 0.02)
+    cycles = round(seconds / CYCLE_S)
     messages = plan_chunks(workspace, profile, cycles, seed)
     rules = ValidationRules(joint_names=backend.joint_names, grid_ns=GRID_NS)
     validator = ChunkValidator(rules, limit_check(bounds, workspace))
@@ -76,15 +71,15 @@ def measure_robot_server(seconds: float, seed: int, profile: str = "lab") -> dic
     ticks: list[tuple[float, float]] = []
     with hot_loop(priority=True) as granted:
         controller.arm(GID, time.monotonic_ns())
-        pace = Pace(GRID_NS / 1e9)
-        for tick in range(cycles * TICKS_PER_CYCLE):
+        pace = Pace(GRID_S)
+        for tick in range(cycles * CYCLE_TICKS):
             pace.wait()
             cpu, wall = time.thread_time(), time.perf_counter()
-            if tick % STATE_PERIOD_TICKS == 0:
+            if tick % CYCLE_TICKS == 0:
                 with times.of("states"):
                     _encode_states(controller)
-            if tick % TICKS_PER_CYCLE == 1:
-                cycle = tick // TICKS_PER_CYCLE
+            if tick % CYCLE_TICKS == 1:
+                cycle = tick // CYCLE_TICKS
                 with times.of("chunk"):
                     controller.receive(messages[cycle], GID, cycle + 1, time.monotonic_ns())
             controller.step(time.monotonic_ns())

@@ -49,17 +49,17 @@ class _Episode:
     def cycle(self, splice: int = 5) -> None:
         """Execute the present chunk up to sample `splice`, and plan on from there."""
         chunk = self._chunk
-        state = chunk.state(splice)
+        state = chunk.point(splice)
         rows = np.minimum(np.arange(1, splice + 1), len(chunk.q) - 1)
         self.judge.executed.append(chunk.q[rows])
         self._tail = np.concatenate((self._tail, chunk.q[rows]))[-4:]
-        self._chunk = chunk = self.planner.step(None if splice == 5 else splice)
+        self._chunk = chunk = self.planner.step(splice)
         parts = chunk.q, chunk.v, chunk.a
         self.judge.add(parts, state)
         usage = self._checker.check(*parts, state, earlier=self._tail[:3])
         self.usage = self.usage.merged(usage)
-        if chunk.continued:
-            self.continued[chunk.continued] += 1
+        if self.planner.held_back is not None:
+            self.continued[self.planner.held_back] += 1
         self.cycles += 1
 
     def attack(self, kind: str) -> None:

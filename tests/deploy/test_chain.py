@@ -27,7 +27,6 @@ from skewmi.deploy.run import run_deploy
 from skewmi.deploy.safety.limits import ChunkChecker
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.messages import (
-    TrajectoryChunk,
     decode_chunk,
     decode_joint_states,
     decode_status,
@@ -38,9 +37,9 @@ from skewmi.policy_io import Array
 from skewmi.robot_models import limits as joint_limits
 from skewmi.robot_models.kinematics import ArmKinematics
 from skewmi.sim.open_press_close.definition import make_layout
+from skewmi.trajectory import GRID_NS, TrajectoryChunk
 
 LAB = joint_limits.profile("lab")
-GRID_NS = 4_000_000
 SUPPORT = Path(__file__).parents[1] / "support"
 
 
@@ -103,7 +102,11 @@ def executed(chunks: list[TrajectoryChunk]) -> list[np.ndarray]:
         for later in [t for t in points if t >= chunk.stamp_ns]:
             del points[later]
         points.update(
-            zip((chunk.stamp_ns + chunk.time_from_start_ns).tolist(), chunk.q, strict=True)
+            zip(
+                (chunk.stamp_ns + chunk.time_from_start_ns).tolist(),
+                chunk.trajectory.q,
+                strict=True,
+            )
         )
         end = chunk.stamp_ns + int(chunk.time_from_start_ns[-1])
     for points in stretches:
@@ -130,10 +133,10 @@ def assert_limits_kept(path: Path) -> dict[str, float]:
     checker = ChunkChecker(LAB, None, ArmKinematics("right").forward)
     for chunk in chunks:
         checker.check(
-            chunk.q,
-            chunk.v,
-            chunk.a,
-            (chunk.q[0], chunk.v[0], chunk.a[0]),
+            chunk.trajectory.q,
+            chunk.trajectory.v,
+            chunk.trajectory.a,
+            chunk.trajectory.point(0),
             joint_names=chunk.joint_names,
             time_from_start_ns=chunk.time_from_start_ns,
         )
@@ -191,7 +194,7 @@ def test_lock_step_runs_are_repeatable(lock_step_robot: str, tmp_path: Path) -> 
         options = DeployOptions(seed=7, connect=lock_step_robot, lock_step=True, record=path)
         report = run_deploy(Scripted(30, stop_early), options)
         assert report.faulted
-        recorded.append(np.concatenate([chunk.q for chunk in chunks_of(path)]))
+        recorded.append(np.concatenate([chunk.trajectory.q for chunk in chunks_of(path)]))
     np.testing.assert_array_equal(*recorded)
 
 

@@ -38,6 +38,7 @@ import ruckig
 
 from skewmi.deploy.motion.brake import Array, approach_speed_of, plan_stop, stop_extent_of
 from skewmi.deploy.motion.followed_path import FollowedPath, Vector
+from skewmi.trajectory import GRID_S
 
 FEEDBACK_GAIN = 5.0
 """Largest k, 1/s."""
@@ -98,7 +99,6 @@ class CartesianShaper:
         speed: Largest |velocity|, m/s.
         acceleration: Largest |acceleration| per axis, m/s^2.
         jerk: Largest |jerk| per axis, m/s^3.
-        grid_dt: s.
     """
 
     def __init__(
@@ -109,14 +109,12 @@ class CartesianShaper:
         speed: float,
         acceleration: float,
         jerk: float,
-        grid_dt: float,
     ) -> None:
         self._low: list[float] = np.asarray(low, dtype=np.float64).tolist()
         self._high: list[float] = np.asarray(high, dtype=np.float64).tolist()
         self._speed = speed
         self._acceleration = acceleration
         self._jerk = jerk
-        self._grid_dt = grid_dt
         self._gain = min(FEEDBACK_GAIN, FEEDBACK_PHASE * jerk / acceleration)
         self._otg = ruckig.Ruckig(3)
         self._trajectory = ruckig.Trajectory(3)
@@ -127,7 +125,7 @@ class CartesianShaper:
         self._input.max_jerk = [jerk] * 3
         self._x = [(a + b) / 2.0 for a, b in zip(self._low, self._high, strict=True)]
         self._v, self._a = [0.0] * 3, [0.0] * 3
-        self._path = FollowedPath(round(MAX_BEHIND / grid_dt))
+        self._path = FollowedPath(round(MAX_BEHIND / GRID_S))
 
     def forget_path(self) -> None:
         """Go after the command from where it is now, whatever way it came."""
@@ -170,7 +168,7 @@ class CartesianShaper:
         whole_cut = normal * time / 8.0
         if whole_cut <= CORNER_CUT:
             return 0
-        return round(time * (1.0 - math.sqrt(CORNER_CUT / whole_cut)) / self._grid_dt)
+        return round(time * (1.0 - math.sqrt(CORNER_CUT / whole_cut)) / GRID_S)
 
     def step(self, reference: Reference, hand_position_w: Array, leash: float) -> None:
         """Advance by one grid step towards the reference.
@@ -195,7 +193,7 @@ class CartesianShaper:
         wanted = [f + k * e for f, e in zip(follow, error, strict=True)]
         wanted = self._keep_near(wanted, hand_position_w.tolist(), leash)
         self._transition(self._clip_to_box(self._clip_speed(wanted)))
-        x, v, a = self._trajectory.at_time(self._grid_dt)
+        x, v, a = self._trajectory.at_time(GRID_S)
         for i in range(3):
             low, high = stop_extent_of(x[i], v[i], a[i], self._acceleration, self._jerk)
             if low < self._low[i] or high > self._high[i]:
@@ -243,7 +241,7 @@ class CartesianShaper:
             )
         )
         stop = plan_stop(x, v, a, acceleration, jerk)
-        position, velocity, fade = (float(part[0, 0]) for part in stop.sample(self._grid_dt))
+        position, velocity, fade = (float(part[0, 0]) for part in stop.sample(GRID_S))
         return min(max(position, self._low[axis]), self._high[axis]), velocity, fade
 
     def _clip_speed(self, velocity_w: list[float]) -> list[float]:

@@ -37,6 +37,7 @@ import numpy as np
 
 from skewmi.deploy.motion.brake import Array
 from skewmi.robot_models import mjcf, yumi
+from skewmi.trajectory import GRID_S
 
 FEEDBACK_RATE = 5.0
 """Largest k, 1/s."""
@@ -88,12 +89,10 @@ class DifferentialIk:
     Args:
         posture: Preferred configuration q*, rad. Shape (7,).
         rotation: Wanted orientation, hand to base. Shape (3, 3).
-        grid_dt: h, s.
     """
 
-    def __init__(self, posture: Array, rotation: Array, grid_dt: float) -> None:
+    def __init__(self, posture: Array, rotation: Array) -> None:
         model = _arm_model()
-        self._dt = grid_dt
         self._configuration = mink.Configuration(model)
         self._site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, yumi.tool_name("right"))
         self._hand = mink.FrameTask(
@@ -101,7 +100,7 @@ class DifferentialIk:
             "site",
             position_cost=POSITION_COST,
             orientation_cost=ORIENTATION_COST,
-            gain=FEEDBACK_RATE * grid_dt,
+            gain=FEEDBACK_RATE * GRID_S,
         )
         self._posture = np.array(posture, dtype=np.float64)
         self._quaternion_wxyz = mink.SO3.from_matrix(np.asarray(rotation, dtype=np.float64)).wxyz
@@ -141,20 +140,20 @@ class DifferentialIk:
             rad/s, shape (7,); None if the solver fails (then the planner brakes).
         """
         target = np.concatenate((self._quaternion_wxyz, position + velocity / feedback_rate))
-        self._hand.gain = feedback_rate * self._dt
+        self._hand.gain = feedback_rate * GRID_S
         self._hand.set_target(mink.SE3(wxyz_xyz=target))
         jacobian, error, _ = self._hand.compute_qp_residual(self._configuration)
         cost = POSTURE_COST * POSTURE_COST + self._giving_way(position, velocity)
         hessian = jacobian.T @ jacobian
         hessian.flat[:: len(self._posture) + 1] += cost
         to_posture = self._posture - self._configuration.data.qpos
-        gradient = -(error @ jacobian) - (cost * POSTURE_RATE * self._dt) * to_posture
+        gradient = -(error @ jacobian) - (cost * POSTURE_RATE * GRID_S) * to_posture
         step, _, flag, _ = daqp.solve(
-            hessian, gradient, self._rows, self._dt * high, self._dt * low, self._sense
+            hessian, gradient, self._rows, GRID_S * high, GRID_S * low, self._sense
         )
         if flag <= 0 or not np.isfinite(step).all():
             return None
-        velocities: Array = step / self._dt
+        velocities: Array = step / GRID_S
         return velocities
 
     def _giving_way(self, position: Array, velocity: Array) -> float:
@@ -162,6 +161,6 @@ class DifferentialIk:
         away = position - self._configuration.data.site_xpos[self._site]
         excess = float(np.sqrt(away @ away)) - GIVING_WAY_FROM
         waiting = excess > 0.0 and velocity @ velocity < AT_REST * AT_REST
-        self._waited_s += self._dt if waiting else -self._dt
+        self._waited_s += GRID_S if waiting else -GRID_S
         self._waited_s = min(max(self._waited_s, 0.0), MAX_WAIT_S)
         return (1.0 + self._waited_s / PATIENCE_S) * GIVING_WAY * max(0.0, excess)

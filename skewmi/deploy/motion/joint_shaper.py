@@ -7,6 +7,7 @@ import ruckig
 
 from skewmi.deploy.motion.brake import ApproachSpeed, Array, Stop, plan_stop
 from skewmi.robot_models.limits import JointLimits
+from skewmi.trajectory import GRID_S, JointPoint
 
 HEADROOM = 0.999
 """Part of each bound that is used, so that rounding never shows as 100.0000001 %."""
@@ -33,10 +34,9 @@ class JointShaper:
 
     Args:
         limits: Joint limits.
-        grid_dt: Grid step, s.
     """
 
-    def __init__(self, limits: JointLimits, grid_dt: float) -> None:
+    def __init__(self, limits: JointLimits) -> None:
         self.lower = limits.position_lower + POSITION_MARGIN
         self.upper = limits.position_upper - POSITION_MARGIN
         self.hard_lower = limits.position_lower + HARD_MARGIN
@@ -47,7 +47,6 @@ class JointShaper:
         self._per_acceleration = 1.0 / self.acceleration
         self._ramp = self.acceleration / self.jerk
         self._approach = ApproachSpeed(self.acceleration, self.jerk)
-        self._grid_dt = grid_dt
         joints = self.velocity.size
         self._room = np.zeros((2, joints))
         self._otg = ruckig.Ruckig(joints)
@@ -67,7 +66,7 @@ class JointShaper:
         acceleration can fade; that is a / 2J in time.
         """
         seconds = float((self.acceleration / (2.0 * self.jerk)).max())
-        return round(seconds / self._grid_dt)
+        return round(seconds / GRID_S)
 
     def feedback_rate(self, largest: float) -> float:
         """Gain up to which a feedback around this shaper is well damped now, at most `largest`.
@@ -82,8 +81,14 @@ class JointShaper:
         delay = float((np.abs(self.v) * self._per_acceleration + self._ramp).max())
         return min(largest, FEEDBACK_PHASE / delay)
 
-    def restore(self, q: Array, v: Array, a: Array) -> None:
-        self.q, self.v, self.a = q.copy(), v.copy(), a.copy()
+    @property
+    def point(self) -> JointPoint:
+        """The present state. The arrays are not written to afterwards."""
+        return JointPoint(self.q, self.v, self.a)
+
+    def restore(self, point: JointPoint) -> None:
+        """Go on from another state."""
+        self.q, self.v, self.a = (part.copy() for part in point)
 
     def velocity_bounds(self) -> tuple[Array, Array]:
         """Lowest and highest velocity to aim for here; zero lies between. Each (7,), rad/s."""
@@ -105,7 +110,7 @@ class JointShaper:
         self._input.current_acceleration = self.a.tolist()
         self._input.target_velocity = np.minimum(np.maximum(wanted, low), high).tolist()
         self._otg.calculate(self._input, self._trajectory)
-        self.q, self.v, self.a = np.array(self._trajectory.at_time(self._grid_dt))
+        self.q, self.v, self.a = np.array(self._trajectory.at_time(GRID_S))
 
     def stop(self) -> Stop:
         """The fastest stop from here."""

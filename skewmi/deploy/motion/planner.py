@@ -22,7 +22,6 @@ the braking hand is, and motion away from the obstacle starts from there.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -37,6 +36,7 @@ from skewmi.policy_io import Workspace
 from skewmi.robot_models.frames import rotation_from_quaternion, rotation_vector
 from skewmi.robot_models.kinematics import ArmKinematics
 from skewmi.robot_models.limits import JointLimits
+from skewmi.trajectory import CYCLE_TICKS, GRID_S, JointPoint, JointTrajectory
 
 MAX_START_TILT = 0.1
 """Largest angle between the hand and its constant orientation at `reset`, rad."""
@@ -50,44 +50,17 @@ TOLERANCE_SHARE = 0.95
 _REST = np.zeros(7)
 
 
-@dataclass(frozen=True)
-class PlannedChunk:
-    """Samples on the grid: the present state, the next cycle, and a stop; each (n, 7)."""
-
-    q: Array
-    """rad"""
-    v: Array
-    """rad/s; zero in the last row"""
-    a: Array
-    """rad/s^2; zero in the last row"""
-    continued: str | None = None
-    """Why this is the rest of the previous chunk and nothing new; None normally."""
-
-    def state(self, index: int) -> tuple[Array, Array, Array]:
-        """Position, velocity, acceleration at a sample; at rest after the last."""
-        index = min(index, len(self.q) - 1)
-        return self.q[index], self.v[index], self.a[index]
-
-    def rest_of(self, index: int, at_least: int, reason: str) -> PlannedChunk:
-        """This chunk from a sample on, with rest appended up to `at_least` samples."""
-        rows = np.minimum(np.arange(index, max(len(self.q), index + at_least)), len(self.q) - 1)
-        return PlannedChunk(self.q[rows], self.v[rows], self.a[rows], reason)
-
-
 class Planner:
     """Plans the right arm's motion; one instance per episode or longer.
 
     Args:
         workspace: Box, orientation and start of the hand.
         limits: Joint limits (already scaled to the wanted speed).
-        cycle_dt: Time between two `step`, s; a multiple of `grid_dt`.
-        grid_dt: Time between two samples, s.
         tcp_speed: The checker's limit on the tool's speed, m/s; plans stay below.
         workspace_tolerance: The checker's tolerance, m; plans stay below.
 
     Raises:
-        ConfigurationError: The times do not fit, or the start configuration does not belong to
-            the start position.
+        ConfigurationError: The start configuration does not belong to the start position.
         KinematicsError: A corner of the box cannot be reached.
     """
 
@@ -96,19 +69,11 @@ class Planner:
         workspace: Workspace,
         limits: JointLimits,
         *,
-        cycle_dt: float = 0.02,
-        grid_dt: float = chunk_limits.GRID_DT,
         tcp_speed: float = chunk_limits.TCP_SPEED_LIMIT,
         workspace_tolerance: float = chunk_limits.WORKSPACE_TOLERANCE,
     ) -> None:
-        self.samples_per_cycle = round(cycle_dt / grid_dt)
-        if self.samples_per_cycle < 1 or abs(self.samples_per_cycle * grid_dt - cycle_dt) > 1e-9:
-            raise ConfigurationError(
-                f"cycle_dt {cycle_dt} s must be a multiple of grid_dt {grid_dt} s"
-            )
         self.limits = limits
         self.workspace = workspace
-        self._grid_dt = grid_dt
         self._base = np.array(workspace.base_position)
         self._low, self._high = np.array(workspace.low), np.array(workspace.high)
         self._rotation = rotation_from_quaternion(workspace.hand_quaternion_wxyz)
@@ -117,21 +82,22 @@ class Planner:
         self._kinematics = ArmKinematics("right")
         posture = np.array(workspace.start_configuration)
         self.hand_bounds = derive_hand_bounds(workspace, self._kinematics, limits, tcp_speed)
-        self._joints = JointShaper(limits, grid_dt)
-        self._ik = DifferentialIk(posture, self._rotation, grid_dt)
+        self._joints = JointShaper(limits)
+        self._ik = DifferentialIk(posture, self._rotation)
         self._hand = CartesianShaper(
             self._low,
             self._high,
             speed=self.hand_bounds.speed,
             acceleration=self.hand_bounds.acceleration,
             jerk=self.hand_bounds.jerk,
-            grid_dt=grid_dt,
         )
         self._reference = Reference(np.array(workspace.start))
         # Where x was when the arm was told to be where it is now: the joint shaper's lag is no
         # error that the feedback should catch up with, it would overshoot every stop.
         self._shaped = deque([self._hand.position_w], 1 + self._joints.lag_steps)
-        self._chunk: PlannedChunk | None = None
+        self._chunk: JointTrajectory | None = None
+        self.held_back: str | None = None
+        """Why the last `step` gave the rest of the chunk before and nothing new, or None."""
 
     @property
     def command_position(self) -> Array:
@@ -139,9 +105,9 @@ class Planner:
         return self._reference.position_w.copy()
 
     @property
-    def present(self) -> tuple[Array, Array, Array]:
-        """Planned q, v, a at the end of the planned cycle, where the next chunk starts."""
-        return self._joints.q.copy(), self._joints.v.copy(), self._joints.a.copy()
+    def present(self) -> JointPoint:
+        """Planned state at the end of the planned cycle, where the next chunk starts."""
+        return self._joints.point
 
     def forward(self, q: Array) -> tuple[Array, Array]:
         """Hand positions (..., 3) in world, m, and rotations (..., 3, 3) of configurations."""
@@ -178,14 +144,12 @@ class Planner:
                 f"by {np.degrees(tilt):.1f} deg; at most {1e3 * self._tolerance:.1f} mm and "
                 f"{np.degrees(MAX_START_TILT):.1f} deg are allowed; move to the start first"
             )
-        self._joints.restore(q, _REST, _REST)
+        self._joints.restore(JointPoint(q, _REST, _REST))
         self._ik.reset()
         self._reseed(position, np.zeros(3))
         self._reference = Reference(self._hand.position_w)
-        rows = self.samples_per_cycle + 1
-        self._chunk = PlannedChunk(
-            np.tile(q, (rows, 1)), np.zeros((rows, 7)), np.zeros((rows, 7)), "reset"
-        )
+        self._chunk = JointTrajectory.resting(q, CYCLE_TICKS + 1)
+        self.held_back = None
 
     def set_target(self, position_w: Array, duration_s: float, *, at_once: bool = False) -> None:
         """Command the hand to a position, to be reached at constant velocity.
@@ -214,16 +178,17 @@ class Planner:
             self._hand.forget_path()
         self._reference.set_target(np.clip(target, self._low, self._high), duration_s)
 
-    def step(self, splice: int | None = None) -> PlannedChunk:
+    def step(self, splice: int = CYCLE_TICKS) -> JointTrajectory:
         """Plan the next cycle.
 
         Args:
-            splice: Sample of the previous chunk at which this one starts; None for one cycle
+            splice: Sample of the previous chunk at which this one starts, normally one cycle
                 later. A larger number is what a late caller needs: the arm has then begun to
                 brake on the previous chunk.
 
         Returns:
-            A chunk whose first sample equals that sample exactly and that ends at rest.
+            The present state, the next cycle, and a stop: its first sample equals that sample
+            exactly, and it ends at rest. `held_back` tells if it is nothing new.
 
         Raises:
             ConfigurationError: `reset` was never called, or `splice` is negative.
@@ -231,30 +196,26 @@ class Planner:
         if self._chunk is None:
             raise ConfigurationError("a planner must be reset before it can step")
         previous = self._chunk
-        at = self.samples_per_cycle if splice is None else splice
-        if at < 0:
-            raise ConfigurationError(f"splice is {at}; it must not be negative")
-        if at != self.samples_per_cycle:
-            self._resume(previous, at)
+        if splice < 0:
+            raise ConfigurationError(f"splice is {splice}; it must not be negative")
+        if splice != CYCLE_TICKS:
+            self._resume(previous, splice)
             # The command went on while nobody planned.
-            for _ in range(min(at - self.samples_per_cycle, 1000)):
-                self._reference.advance(self._grid_dt)
-        start = self._joints.q, self._joints.v, self._joints.a
-        samples = [start]
-        for _ in range(self.samples_per_cycle):
+            for _ in range(min(splice - CYCLE_TICKS, 1000)):
+                self._reference.advance(GRID_S)
+        samples = [self._joints.point]
+        for _ in range(CYCLE_TICKS):
             self._grid_step()
-            samples.append((self._joints.q, self._joints.v, self._joints.a))
+            samples.append(self._joints.point)
         tail = self._joints.stop()
         rows = np.array(samples)
-        q, v, a = (
-            np.concatenate([rows[:, i], samples_i])
-            for i, samples_i in enumerate(tail.sample(self._grid_dt))
+        chunk = JointTrajectory(
+            *(np.concatenate((rows[:, i], end)) for i, end in enumerate(tail.sample(GRID_S)))
         )
-        chunk = PlannedChunk(q, v, a)
-        reason = self._breach(chunk, tail.extent())
-        if reason is not None:
-            chunk = previous.rest_of(at, self.samples_per_cycle + 1, reason)
-            self._resume(chunk, self.samples_per_cycle)
+        self.held_back = self._breach(chunk, tail.extent())
+        if self.held_back is not None:
+            chunk = previous.rest_of(splice, CYCLE_TICKS + 1)
+            self._resume(chunk, CYCLE_TICKS)
         self._chunk = chunk
         return chunk
 
@@ -262,7 +223,7 @@ class Planner:
         joints, hand = self._joints, self._hand
         at = self._ik.place(joints.q) + self._base
         due_w = self._shaped[0]
-        self._reference.advance(self._grid_dt)
+        self._reference.advance(GRID_S)
         hand.step(self._reference, at, LEASH)
         self._shaped.append(hand.position_w)
         low, high = joints.velocity_bounds()
@@ -270,23 +231,23 @@ class Planner:
         wanted = self._ik.solve(due_w - self._base, hand.velocity_w, low, high, rate)
         joints.step(_REST if wanted is None else wanted, low, high)
 
-    def _resume(self, chunk: PlannedChunk, index: int) -> None:
+    def _resume(self, chunk: JointTrajectory, index: int) -> None:
         """Continue from a sample of a chunk, and command the hand where it then is."""
-        q, v, a = chunk.state(index)
-        self._joints.restore(q, v, a)
-        velocity = self._kinematics.jacobian(q)[:3] @ v
-        self._reseed(self.forward(q)[0], velocity)
+        point = chunk.point(index)
+        self._joints.restore(point)
+        velocity = self._kinematics.jacobian(point.q)[:3] @ point.v
+        self._reseed(self.forward(point.q)[0], velocity)
 
     def _reseed(self, position_w: Array, velocity_w: Array) -> None:
         self._hand.reseed(position_w, velocity_w)
-        ages = self._grid_dt * np.arange(self._joints.lag_steps, -1, -1)
+        ages = GRID_S * np.arange(self._joints.lag_steps, -1, -1)
         self._shaped.extend(self._hand.position_w - age * self._hand.velocity_w for age in ages)
 
     def _outside(self, position_w: Array) -> float:
         """Largest distance outside of the box along an axis, m; negative inside."""
         return float(np.maximum(self._low - position_w, position_w - self._high).max())
 
-    def _breach(self, chunk: PlannedChunk, extent: tuple[Array, Array]) -> str | None:
+    def _breach(self, chunk: JointTrajectory, extent: tuple[Array, Array]) -> str | None:
         """Why a chunk must not be published, or None."""
         joints = self._joints
         low = np.minimum(chunk.q.min(axis=0), extent[0])
@@ -299,6 +260,6 @@ class Planner:
         if outside.max() > max(self._tolerance, outside[0] + 1e-12):
             return "the hand could not stop inside the workspace"
         steps = np.diff(position, axis=0)
-        if float((steps * steps).sum(axis=1).max()) > (self._tcp_speed * self._grid_dt) ** 2:
+        if float((steps * steps).sum(axis=1).max()) > (self._tcp_speed * GRID_S) ** 2:
             return "the tool would be too fast"
         return None

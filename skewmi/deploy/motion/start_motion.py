@@ -18,11 +18,11 @@ import ruckig
 
 from skewmi.deploy.motion.brake import Array, plan_stop
 from skewmi.deploy.motion.joint_shaper import HEADROOM
-from skewmi.deploy.motion.planner import PlannedChunk
 from skewmi.deploy.safety import limits as chunk_limits
 from skewmi.errors import ConfigurationError, LimitViolationError
 from skewmi.robot_models.kinematics import ArmKinematics
 from skewmi.robot_models.limits import JointLimits
+from skewmi.trajectory import CYCLE_TICKS, GRID_S, JointTrajectory
 
 TCP_SHARE = 0.95
 """Part of the tool's speed limit that the motion uses."""
@@ -38,14 +38,11 @@ class StartMotion:
         q_start: Where the arm rests, rad. Shape (7,).
         q_end: Where it shall rest, rad. Shape (7,).
         limits: Joint limits, scaled to the wanted speed.
-        cycle_dt: Time between two chunks, s.
-        grid_dt: Time between two samples, s.
         tcp_speed: The checker's limit on the tool's speed, m/s; the motion is slowed to stay
             below.
 
     Raises:
         LimitViolationError: A configuration is not finite or outside the position limits.
-        ConfigurationError: The times do not fit.
     """
 
     def __init__(
@@ -54,16 +51,8 @@ class StartMotion:
         q_end: Array,
         limits: JointLimits,
         *,
-        cycle_dt: float = 0.02,
-        grid_dt: float = chunk_limits.GRID_DT,
         tcp_speed: float = chunk_limits.TCP_SPEED_LIMIT,
     ) -> None:
-        self.samples_per_cycle = round(cycle_dt / grid_dt)
-        if self.samples_per_cycle < 1 or abs(self.samples_per_cycle * grid_dt - cycle_dt) > 1e-9:
-            raise ConfigurationError(
-                f"cycle_dt {cycle_dt} s must be a multiple of grid_dt {grid_dt} s"
-            )
-        self._grid_dt = grid_dt
         for name, q in (("start", q_start), ("end", q_end)):
             _require_inside(name, np.asarray(q, dtype=np.float64), limits)
         start, end = np.array(q_start, dtype=np.float64), np.array(q_end, dtype=np.float64)
@@ -76,20 +65,17 @@ class StartMotion:
         self._acceleration = HEADROOM * float((limits.acceleration / share).min())
         self._jerk = HEADROOM * float((limits.jerk / share).min())
         self._s = self._sample()
-        self.q, self.v, self.a = self._on_line(self._s)
-        self.q[-1] = end
-
-    @property
-    def duration_s(self) -> float:
-        """Time from the first sample to rest at the end."""
-        return (len(self.q) - 1) * self._grid_dt
+        q, v, a = self._on_line(self._s)
+        q[-1] = end
+        self.trajectory = JointTrajectory(q, v, a)
+        """The whole motion."""
 
     @property
     def cycles(self) -> int:
         """How many chunks there are, at least one."""
-        return max(1, -(-(len(self.q) - 1) // self.samples_per_cycle))
+        return max(1, -(-(len(self.trajectory) - 1) // CYCLE_TICKS))
 
-    def chunk(self, cycle: int) -> PlannedChunk:
+    def chunk(self, cycle: int) -> JointTrajectory:
         """The chunk that starts `cycle` cycles after the beginning, with its braking tail.
 
         Raises:
@@ -97,22 +83,18 @@ class StartMotion:
         """
         if cycle < 0:
             raise ConfigurationError(f"cycle is {cycle}; it must not be negative")
-        first = cycle * self.samples_per_cycle
-        rows = np.minimum(np.arange(first, first + self.samples_per_cycle + 1), len(self.q) - 1)
+        first, last = cycle * CYCLE_TICKS, len(self.trajectory) - 1
+        rows = np.minimum(np.arange(first, first + CYCLE_TICKS + 1), last)
         s, rate, acceleration = self._s[rows[-1]][:, None]
         stop = plan_stop(
             s, rate, acceleration, np.array([self._acceleration]), np.array([self._jerk])
         )
-        q, v, a = self._on_line(np.column_stack(stop.sample(self._grid_dt)))
-        if rows[-1] == len(self.q) - 1:
-            q[:] = self.q[-1]
-        return PlannedChunk(
-            np.concatenate([self.q[rows], q]),
-            np.concatenate([self.v[rows], v]),
-            np.concatenate([self.a[rows], a]),
-        )
+        q, v, a = self._on_line(np.column_stack(stop.sample(GRID_S)))
+        if rows[-1] == last:
+            q[:] = self.trajectory.q[-1]
+        return JointTrajectory.concatenate(self.trajectory.part(rows), JointTrajectory(q, v, a))
 
-    def chunks(self) -> Iterator[PlannedChunk]:
+    def chunks(self) -> Iterator[JointTrajectory]:
         """All chunks in order."""
         return (self.chunk(cycle) for cycle in range(self.cycles))
 
@@ -125,8 +107,8 @@ class StartMotion:
         request.max_jerk = [self._jerk]
         trajectory = ruckig.Trajectory(1)
         ruckig.Ruckig(1).calculate(request, trajectory)
-        n = int(np.ceil(trajectory.duration / self._grid_dt - 1e-9)) + 1
-        samples = np.array([trajectory.at_time(k * self._grid_dt) for k in range(n)])[..., 0]
+        n = int(np.ceil(trajectory.duration / GRID_S - 1e-9)) + 1
+        samples = np.array([trajectory.at_time(k * GRID_S) for k in range(n)])[..., 0]
         samples[-1] = 1.0, 0.0, 0.0
         return samples
 

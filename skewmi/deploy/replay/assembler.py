@@ -22,10 +22,11 @@ from skewmi.deploy.replay.data import (
     tracking_error,
 )
 from skewmi.deploy.wire import messages, topics
-from skewmi.deploy.wire.messages import JointStates, Status, TrajectoryChunk
+from skewmi.deploy.wire.messages import JointStates, Status
 from skewmi.errors import ConfigurationError, TransportError
 from skewmi.policy_io import first_success_step, inside_region
 from skewmi.robot_models import yumi
+from skewmi.trajectory import TrajectoryChunk
 
 _COMPARED_S = 10.0
 """Measurements wait for their command for so long, s: in lock-step much happens at once."""
@@ -149,7 +150,7 @@ class RunAssembler:
         return run
 
     def _take_chunk(self, chunk: TrajectoryChunk) -> None:
-        if chunk.joint_names == self._names and len(chunk.q):
+        if chunk.joint_names == self._names and len(chunk.trajectory):
             self._command.add(chunk)
 
     def _take_joints(self, joints: JointStates) -> None:

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skewmi.deploy.replay.data import REGULAR_S, Array, Motion, Series, no_motion
-from skewmi.deploy.wire.messages import JointStates, TrajectoryChunk
+from skewmi.deploy.wire.messages import JointStates
+from skewmi.trajectory import TrajectoryChunk
 
 NS_PER_S = 1e9
 
@@ -66,7 +67,8 @@ class CommandBuffer:
         if start >= end:
             return
         self._times.append(due_ns[start:end])
-        self._parts.append(np.stack([chunk.q[start:end], chunk.v[start:end], chunk.a[start:end]]))
+        shown = chunk.trajectory.part(slice(start, end))
+        self._parts.append(np.stack([shown.q, shown.v, shown.a]))
         self._last_ns, self._shown = int(due_ns[end - 1]), end
 
 

@@ -7,15 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
-from skewmi.deploy.robot.executor import PlanPoint
 from skewmi.errors import SkewmiError
 from skewmi.policy_io import Array
-
-GRID_NS = 4_000_000
-"""The robot server's grid: one joint target every 4 ms, as the controller's EGM asks for them."""
-
-STATE_PERIOD_TICKS = 5
-"""Joint and scene states are published every 5 ticks, 20 ms: the session's planner cycle."""
+from skewmi.trajectory import GRID_NS, JointPoint
 
 _CLOCK_STARTS_S = (1 << 28, 1 << 30)
 """Range of the clock's start, s: it fits a ROS time stamp for decades to come."""
@@ -73,7 +67,7 @@ class RobotBackend(Protocol):
     def measure(self) -> Measurement:
         """Present state; the arrays are not written to afterwards."""
 
-    def step(self, target: PlanPoint) -> None:
+    def step(self, target: JointPoint) -> None:
         """Follow `target` for one grid interval.
 
         Raises:

@@ -11,7 +11,6 @@ from collections.abc import Callable
 import numpy as np
 
 from skewmi.deploy.robot.backend import (
-    GRID_NS,
     BackendFaultError,
     Measurement,
     RobotBackend,
@@ -32,9 +31,10 @@ from skewmi.deploy.safety.validation import (
     check_size,
 )
 from skewmi.deploy.state_machine import StateMachine, Transition
-from skewmi.deploy.wire.messages import JointStates, TrajectoryChunk, decode_chunk, peek_stamp_ns
+from skewmi.deploy.wire.messages import JointStates, decode_chunk, peek_stamp_ns
 from skewmi.errors import CommandRefusedError, TransportError
 from skewmi.policy_io import Array
+from skewmi.trajectory import GRID_NS, TrajectoryChunk
 
 LEASE_NS = 2_000_000_000
 """A commander that is silent for longer than this loses the arm."""
@@ -153,7 +153,7 @@ class RobotController:
                 f"stamp {chunk.stamp_ns} ns is not after the last accepted one, "
                 f"{self.newest_tick * GRID_NS} ns"
             )
-        self.plan.splice(tick, chunk.q, chunk.v, chunk.a, self.tick_index)
+        self.plan.splice(tick, chunk.trajectory, self.tick_index)
         self.newest_tick = tick
         self.lease.renew(gid, sequence, now_ns)
         self._fire(ServerEvent.CHUNK, f"chunk of {gid.hex()[:8]}")

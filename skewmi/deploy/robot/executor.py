@@ -2,22 +2,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
+from numpy.typing import NDArray
 
-from skewmi.policy_io import Array
+from skewmi.trajectory import Array, JointPoint, JointTrajectory
 
 REMEMBERED = 3
 """Samples before the one that is due next that are kept: third differences reach so far back."""
-
-
-class PlanPoint(NamedTuple):
-    """Commanded joint state at one tick. Each of shape (n_joints,); rad, rad/s, rad/s^2."""
-
-    q: Array
-    v: Array
-    a: Array
 
 
 class PlanExecutor:
@@ -38,23 +29,20 @@ class PlanExecutor:
     def rest_at(self, q: Array, tick: int) -> None:
         """Forget the plan and stay at `q`, shape (n_joints,), rad."""
         self._first_tick = tick
-        self._q = np.array(q, dtype=np.float64)[None]
-        self._v = np.zeros_like(self._q)
-        self._a = np.zeros_like(self._q)
+        self._samples = JointTrajectory.resting(q, 1)
 
     @property
     def last_tick(self) -> int:
         """The tick of the plan's last sample, from which on the arm rests."""
-        return self._first_tick + len(self._q) - 1
+        return self._first_tick + len(self._samples) - 1
 
     def at_rest(self, tick: int) -> bool:
         """Whether the plan has been followed to its end at `tick`."""
         return tick >= self.last_tick
 
-    def point(self, tick: int) -> PlanPoint:
+    def point(self, tick: int) -> JointPoint:
         """What is commanded at `tick`. The arrays must not be written to."""
-        index = min(max(tick - self._first_tick, 0), len(self._q) - 1)
-        return PlanPoint(self._q[index], self._v[index], self._a[index])
+        return self._samples.point(tick - self._first_tick)
 
     def before(self, tick: int) -> Array:
         """Positions at the `REMEMBERED` ticks before `tick`, oldest first, rad.
@@ -67,23 +55,19 @@ class PlanExecutor:
         """
         return np.array([self.point(tick - age).q for age in range(REMEMBERED, 0, -1)])
 
-    def splice(self, tick: int, q: Array, v: Array, a: Array, now: int) -> None:
+    def splice(self, tick: int, samples: JointTrajectory, now: int) -> None:
         """Replace the plan from `tick` on; all but the last samples before `now` are forgotten.
 
         Args:
             tick: When the first sample is due, at least `now`.
-            q: Positions on the grid, rad. Shape (n, n_joints).
-            v: Velocities, rad/s. Shape (n, n_joints).
-            a: Accelerations, rad/s^2. Shape (n, n_joints).
+            samples: From then on.
             now: The tick that is due next.
         """
         assert tick >= now
         first = now - REMEMBERED
         begin, end = first - self._first_tick, tick - self._first_tick
-        kept: slice | Array = slice(begin, end)
-        if begin < 0 or end > len(self._q):
-            kept = np.clip(np.arange(begin, end), 0, len(self._q) - 1)
-        self._q = np.concatenate([self._q[kept], q])
-        self._v = np.concatenate([self._v[kept], v])
-        self._a = np.concatenate([self._a[kept], a])
+        kept: slice | NDArray[np.intp] = slice(begin, end)
+        if begin < 0 or end > len(self._samples):
+            kept = np.clip(np.arange(begin, end), 0, len(self._samples) - 1)
+        self._samples = JointTrajectory.concatenate(self._samples.part(kept), samples)
         self._first_tick = first

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skewmi.deploy.robot.backend import GRID_NS, fresh_tick
+from skewmi.deploy.robot.backend import fresh_tick
 from skewmi.deploy.robot.backends.mujoco.backend import SimTwin
 from skewmi.deploy.robot.controller import LEASE_NS, RobotController
 from skewmi.deploy.robot.description import RobotDescription
-from skewmi.deploy.robot.executor import PlanPoint
 from skewmi.deploy.robot.server import RobotServer, ServerOptions
 from skewmi.deploy.safety.limits import WORKSPACE_TOLERANCE, ChunkChecker, Forward
 from skewmi.deploy.safety.validation import ChunkValidator, LimitCheck, ValidationRules
@@ -20,6 +19,7 @@ from skewmi.deploy.wire.transport import Link, TransportConfig
 from skewmi.policy_io import Array, Workspace
 from skewmi.robot_models.kinematics import ArmKinematics
 from skewmi.robot_models.limits import JointLimits
+from skewmi.trajectory import GRID_NS, JointPoint, JointTrajectory
 
 NODE_NAME = "skewmi_robot"
 
@@ -48,12 +48,12 @@ def limit_check(limits: JointLimits, workspace: Workspace) -> LimitCheck:
     room = WORKSPACE_TOLERANCE + _ROUNDING
     low, high = np.array(workspace.low) - base - room, np.array(workspace.high) - base + room
 
-    def check(q: Array, v: Array, a: Array, present: PlanPoint, earlier: Array) -> object:
+    def check(samples: JointTrajectory, present: JointPoint, earlier: Array) -> object:
         # The first sample is where the accepted plan is, or the checker refuses it: their
         # distance, 1e-9 rad at most, is far less than the rounding that is allowed for.
-        start = forward.begin(q)[0][0]
+        start = forward.begin(samples.q)[0][0]
         checker = inside if bool(((low <= start) & (start <= high)).all()) else anywhere
-        return checker.check(q, v, a, previous=present, earlier=earlier)
+        return checker.check(samples.q, samples.v, samples.a, previous=present, earlier=earlier)
 
     return check
 

@@ -17,11 +17,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from skewmi.deploy.realtime import hot_loop
-from skewmi.deploy.robot.backend import (
-    GRID_NS,
-    STATE_PERIOD_TICKS,
-    RobotBackend,
-)
+from skewmi.deploy.robot.backend import RobotBackend
 from skewmi.deploy.robot.controller import RobotController
 from skewmi.deploy.robot.description import SCENE_REQUEST, RobotDescription, limit_values
 from skewmi.deploy.robot.refusals import Refusal
@@ -45,6 +41,7 @@ from skewmi.deploy.wire.transport import Link
 from skewmi.errors import CommandRefusedError, TransportError
 from skewmi.robot_models import yumi
 from skewmi.robot_models.limits import JointLimits
+from skewmi.trajectory import CYCLE_NS, CYCLE_TICKS, GRID_NS
 
 _log = logging.getLogger(__name__)
 
@@ -63,12 +60,10 @@ _SHOWN_REFUSALS = 3
 
 @dataclass(frozen=True)
 class ServerOptions:
-    """How a robot server runs."""
+    """How a robot server runs. Joint and scene states are published every `CYCLE_TICKS` ticks."""
 
     limits: JointLimits
     lock_step: bool = False
-    state_period_ticks: int = STATE_PERIOD_TICKS
-    """Joint and scene states are published every so many ticks."""
 
 
 class RobotServer:
@@ -129,7 +124,7 @@ class RobotServer:
     def _run_real_time(self, stop: threading.Event) -> None:
         due_ns = time.monotonic_ns()
         while not self._ended(stop):
-            if self._controller.tick_index % self._options.state_period_ticks == 0:
+            if self._controller.tick_index % CYCLE_TICKS == 0:
                 self._publish_states()
             self._serve()
             self._controller.step(time.monotonic_ns())
@@ -149,7 +144,7 @@ class RobotServer:
             now_ns = time.monotonic_ns()
             self._controller.check_lease(now_ns)
             if self._may_advance():
-                for _ in range(self._options.state_period_ticks):
+                for _ in range(CYCLE_TICKS):
                     self._controller.step(now_ns)
             elif now_ns - published_ns < _IDLE_REPUBLISH_NS:
                 time.sleep(_IDLE_SLEEP_S)
@@ -256,7 +251,7 @@ class RobotServer:
             lock_step=options.lock_step,
             simulated=backend.simulated,
             grid_ns=GRID_NS,
-            state_period_ns=options.state_period_ticks * GRID_NS,
+            state_period_ns=CYCLE_NS,
             state=controller.state.value,
             reason=controller.machine.reason,
             clock_ns=controller.clock_ns,

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from skewmi.deploy.safety.guard import Guard
 from skewmi.deploy.safety.limits import ChunkChecker, LimitUsage
-from skewmi.deploy.session.stream import Check
-from skewmi.policy_io import Array, Workspace
+from skewmi.policy_io import Workspace
 from skewmi.robot_models.kinematics import ArmKinematics
 from skewmi.robot_models.limits import JointLimits
+from skewmi.trajectory import Array, JointPoint, JointTrajectory
 
-State = tuple[Array, Array, Array]
+Check = Callable[[JointTrajectory, JointPoint, Array], LimitUsage | None]
+"""(samples, motion in progress at the first sample, its positions at the three grid steps before)
+-> usage; raises LimitViolationError."""
 
 
 class ChunkChecks:
@@ -36,9 +38,10 @@ class ChunkChecks:
         """Both checks with the names of their stages."""
         return (("check", self._check), ("guard", self._guard))
 
-    def _check(self, q: Array, v: Array, a: Array, previous: State, earlier: Array) -> LimitUsage:
-        return self._checkers[self.boxed][0].check(q, v, a, previous, earlier=earlier)
+    def _check(self, samples: JointTrajectory, previous: JointPoint, earlier: Array) -> LimitUsage:
+        checker = self._checkers[self.boxed][0]
+        return checker.check(samples.q, samples.v, samples.a, previous, earlier=earlier)
 
-    def _guard(self, q: Array, v: Array, a: Array, previous: State, earlier: Array) -> None:
+    def _guard(self, samples: JointTrajectory, previous: JointPoint, earlier: Array) -> None:
         del previous, earlier
-        self._checkers[self.boxed][1].check(q, v, a)
+        self._checkers[self.boxed][1].check(samples.q, samples.v, samples.a)

@@ -20,11 +20,11 @@ import numpy as np
 import pinocchio
 from numpy.typing import NDArray
 
-from skewmi.deploy.motion.brake import Array
 from skewmi.errors import LimitViolationError
 from skewmi.policy_io import Workspace
 from skewmi.robot_models import urdf, yumi
 from skewmi.robot_models.limits import JointLimits
+from skewmi.trajectory import Array
 
 CLEARANCE = 0.005
 """Smallest distance to the robot itself and the table, m; at home the modelled torso and elbow

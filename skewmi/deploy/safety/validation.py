@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
-from skewmi.deploy.robot.executor import PlanExecutor, PlanPoint
-from skewmi.deploy.wire.messages import TrajectoryChunk
 from skewmi.errors import CommandRefusedError, LimitViolationError
-from skewmi.policy_io import Array
+from skewmi.trajectory import Array, JointPoint, JointTrajectory, TrajectoryChunk
 
 
 class BrokenStreamError(CommandRefusedError):
@@ -30,9 +29,19 @@ MAX_COMMAND_AGE_NS = 2_000_000_000
 MAX_CHUNK_BYTES = 128 * 1024
 """Longest command that is decoded: 500 points of seven joints take 100 kB."""
 
-LimitCheck = Callable[[Array, Array, Array, PlanPoint, Array], object]
-"""(q, v, a, plan at the chunk's first tick, its positions before that) -> raises
+LimitCheck = Callable[[JointTrajectory, JointPoint, Array], object]
+"""(samples, plan at the chunk's first tick, its positions before that) -> raises
 LimitViolationError."""
+
+
+class Plan(Protocol):
+    """What the robot server does without the chunk that is judged."""
+
+    def point(self, tick: int) -> JointPoint:
+        """What is commanded at a tick."""
+
+    def before(self, tick: int) -> Array:
+        """Positions at the three ticks before `tick`, oldest first, rad. Shape (3, n_joints)."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +75,7 @@ class ChunkValidator:
         self.rules = rules
         self._check_limits = check_limits
 
-    def check(self, chunk: TrajectoryChunk, plan: PlanExecutor, now: int) -> int:
+    def check(self, chunk: TrajectoryChunk, plan: Plan, now: int) -> int:
         """Judge a chunk.
 
         Args:
@@ -85,7 +94,7 @@ class ChunkValidator:
         check_splice(chunk, plan.point(tick), self.rules)
         check_rest(chunk, self.rules)
         try:
-            self._check_limits(chunk.q, chunk.v, chunk.a, plan.point(tick), plan.before(tick))
+            self._check_limits(chunk.trajectory, plan.point(tick), plan.before(tick))
         except LimitViolationError as error:
             raise CommandRefusedError(str(error)) from error
         return tick
@@ -119,17 +128,17 @@ def check_structure(chunk: TrajectoryChunk, rules: ValidationRules) -> None:
         raise CommandRefusedError(
             f"a chunk has 2 to {rules.max_points} points; this has {len(times)}"
         )
-    shape = (len(times), len(rules.joint_names))
+    samples, shape = chunk.trajectory, (len(times), len(rules.joint_names))
+    if samples.q.shape != shape:
+        raise CommandRefusedError(
+            f"samples must have shape {shape}; got {samples.q.shape}: every point needs "
+            "positions, velocities and accelerations"
+        )
     for name, values in (
-        ("positions", chunk.q),
-        ("velocities", chunk.v),
-        ("accelerations", chunk.a),
+        ("positions", samples.q),
+        ("velocities", samples.v),
+        ("accelerations", samples.a),
     ):
-        if np.shape(values) != shape:
-            raise CommandRefusedError(
-                f"{name} must have shape {shape}; got {np.shape(values)}: every point needs "
-                "positions, velocities and accelerations"
-            )
         if not np.isfinite(values).all():
             raise CommandRefusedError(f"{name} hold values that are not finite")
     if not np.array_equal(times, np.arange(len(times)) * rules.grid_ns):
@@ -179,7 +188,7 @@ def check_fresh(stamp_ns: int, clock_ns: int) -> None:
         )
 
 
-def check_splice(chunk: TrajectoryChunk, present: PlanPoint, rules: ValidationRules) -> None:
+def check_splice(chunk: TrajectoryChunk, present: JointPoint, rules: ValidationRules) -> None:
     """The first sample must be what the robot server would command there anyway.
 
     Raises:
@@ -188,7 +197,7 @@ def check_splice(chunk: TrajectoryChunk, present: PlanPoint, rules: ValidationRu
     for what, unit, start, expected, tolerance in zip(
         ("position", "velocity", "acceleration"),
         ("rad", "rad/s", "rad/s^2"),
-        (chunk.q[0], chunk.v[0], chunk.a[0]),
+        chunk.trajectory.point(0),
         present,
         rules.splice_tolerance,
         strict=True,
@@ -208,7 +217,8 @@ def check_rest(chunk: TrajectoryChunk, rules: ValidationRules) -> None:
     Raises:
         CommandRefusedError: The speed or acceleration left at the end.
     """
-    speed, acceleration = np.abs(chunk.v[-1]).max(), np.abs(chunk.a[-1]).max()
+    _, v, a = chunk.trajectory.point(len(chunk.trajectory) - 1)
+    speed, acceleration = np.abs(v).max(), np.abs(a).max()
     if speed > rules.rest_tolerance[0] or acceleration > rules.rest_tolerance[1]:
         raise CommandRefusedError(
             f"a chunk must end at rest; this ends at {speed:.3g} rad/s, {acceleration:.3g} rad/s^2"

@@ -13,13 +13,14 @@ from skewmi.deploy.motion.start_motion import StartMotion
 from skewmi.deploy.session.hand_follower import HandFollower
 from skewmi.deploy.session.observer import ArmState, Observer
 from skewmi.deploy.session.robot_client import LateChunkError
-from skewmi.deploy.session.stream import CYCLE_NS, CYCLE_TICKS, ChunkStream
+from skewmi.deploy.session.stream import ChunkStream
 from skewmi.deploy.session.timing import CycleTimes
 from skewmi.deploy.wire.messages import JointStates, encode_joint_states
 from skewmi.errors import CommandRefusedError
 from skewmi.hand_command import integrate_command
 from skewmi.policy_io import Array, Policy, inside_region
 from skewmi.robot_models.limits import JointLimits
+from skewmi.trajectory import CYCLE_NS, CYCLE_TICKS
 
 START_ATTEMPTS = 3
 """Start motions after one that was late and therefore stopped half-way."""
@@ -138,9 +139,9 @@ class EpisodeRunner:
         while True:
             assert stream.sent is not None
             if cycle >= motion.cycles or late:
-                rest_ns = min(rest_ns, stream.sent.rest_ns)
+                rest_ns = min(rest_ns, stream.rest_ns)
             if state.stamp_ns >= rest_ns:
-                return state, stream.sent.chunk.q[-1], not late
+                return state, stream.sent.trajectory.q[-1], not late
             self._times.start(state.received_ns)
             self._observer.check_scene()
             for splice in () if late else stream.due(state.stamp_ns, state.received_ns):
@@ -220,9 +221,9 @@ class EpisodeRunner:
                 chunk = planner.step(splice)
                 times.lap("plan")
                 stream.send(chunk)
-                if chunk.continued is not None:
+                if planner.held_back is not None:
                     held_back += 1
-                    reason = chunk.continued
+                    reason = planner.held_back
                 if acts:
                     if layout.action_dim > 3:
                         travel = float(np.clip(action[3], -1.0, 1.0)) * self._scale[3]

@@ -9,7 +9,6 @@ import numpy as np
 from skewmi.deploy.motion.start_motion import StartMotion
 from skewmi.deploy.robot.description import RobotDescription, limit_values
 from skewmi.deploy.safety.checks import ChunkChecks
-from skewmi.deploy.session.stream import CYCLE_NS, GRID_NS
 from skewmi.errors import ConfigurationError, LayoutMismatchError
 from skewmi.policy_io import Array, PolicyLayout, Workspace
 from skewmi.robot_models import limits as joint_limits
@@ -17,6 +16,7 @@ from skewmi.robot_models import yumi
 from skewmi.robot_models.frames import rotation_from_quaternion
 from skewmi.robot_models.kinematics import ArmKinematics, require_converged
 from skewmi.robot_models.limits import JointLimits
+from skewmi.trajectory import CYCLE_NS, GRID_NS, JointPoint
 
 OTHER_POSTURE = 0.5
 """Joint distance from the task's posture beyond which the start is sought from there, rad."""
@@ -154,15 +154,14 @@ def check_way(q: Array, q_goal: Array, limits: JointLimits, checks: ChunkChecks)
         LimitViolationError: An end is outside the position limits, or the way leads through the
             arm, body or table or asks for too much torque.
     """
-    motion = StartMotion(q, q_goal, limits)
+    motion = StartMotion(q, q_goal, limits).trajectory
     rest = np.zeros(7)
     # Braking tails stay on the line of the motion: where it is free, they are. Limits on the grid
     # are the motion's own business, and every chunk is checked for everything when it is sent.
     guard = dict(checks.stages)["guard"]
-    for first in range(0, len(motion.q), _WAY_SAMPLES):
-        part = slice(first, first + _WAY_SAMPLES + 1)
-        start = motion.q[first]
-        guard(motion.q[part], motion.v[part], motion.a[part], (start, rest, rest), start[None])
+    for first in range(0, len(motion), _WAY_SAMPLES):
+        start = JointPoint(motion.q[first], rest, rest)
+        guard(motion.part(slice(first, first + _WAY_SAMPLES + 1)), start, start.q[None])
 
 
 def _check_limits(limits: JointLimits, server: RobotDescription) -> None:

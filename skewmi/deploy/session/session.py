@@ -30,7 +30,7 @@ from skewmi.deploy.session.preflight import (
 )
 from skewmi.deploy.session.robot_client import RobotClient, StopRequestedError
 from skewmi.deploy.session.states import SESSION_TABLE, SessionEvent, SessionState
-from skewmi.deploy.session.stream import CYCLE_NS, CYCLE_TICKS, ChunkStream
+from skewmi.deploy.session.stream import ChunkStream
 from skewmi.deploy.session.timing import CycleTimes
 from skewmi.deploy.state_machine import StateMachine, Transition
 from skewmi.deploy.wire import topics
@@ -45,6 +45,7 @@ from skewmi.deploy.wire.transport import Link
 from skewmi.errors import ConfigurationError, SkewmiError, TransportError
 from skewmi.policy_io import Array, Policy
 from skewmi.robot_models import yumi
+from skewmi.trajectory import CYCLE_NS, CYCLE_TICKS
 
 _log = logging.getLogger(__name__)
 
@@ -176,7 +177,7 @@ class Session:
             chunk = planner.step()
             self._checks.boxed = cycle % 2 == 0
             for _, check in self._checks.stages:
-                check(chunk.q, chunk.v, chunk.a, present, earlier)
+                check(chunk, present, earlier)
             earlier = chunk.q[CYCLE_TICKS - 3 : CYCLE_TICKS]
 
     @property

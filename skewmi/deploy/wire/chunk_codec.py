@@ -20,13 +20,10 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skewmi.deploy.wire import ros2_types
 from skewmi.deploy.wire.topics import JOINT_TRAJECTORY
-
-Array = NDArray[np.float64]
-Fields = tuple[int, tuple[str, ...], NDArray[np.int64], Array, Array, Array]
+from skewmi.trajectory import JointTrajectory, TrajectoryChunk
 
 _NS_PER_S = 1_000_000_000
 _HEADER = b"\x00\x01\x00\x00"
@@ -82,33 +79,24 @@ def _template(names: tuple[str, ...], count: int) -> tuple[bytearray, Any]:
     return buffer, np.frombuffer(buffer, dtype=record, offset=start)
 
 
-def encode(
-    stamp_ns: int,
-    names: tuple[str, ...],
-    time_from_start_ns: NDArray[np.int64],
-    q: Array,
-    v: Array,
-    a: Array,
-) -> bytes:
-    """Bytes of a chunk; arguments as in `messages.TrajectoryChunk`, shapes agreeing.
-
-    Not thread-safe: the template is shared.
-    """
-    buffer, records = _template(names, len(q))
-    _STAMP.pack_into(buffer, 4, *divmod(int(stamp_ns), _NS_PER_S))
-    if len(q) and names:
-        records["q"] = q
-        records["v"] = v
-        records["a"] = a
-    if len(q):
-        seconds = time_from_start_ns // _NS_PER_S
+def encode(chunk: TrajectoryChunk) -> bytes:
+    """Bytes of a chunk whose shapes agree. Not thread-safe: the template is shared."""
+    names, times_ns, samples = chunk.joint_names, chunk.time_from_start_ns, chunk.trajectory
+    buffer, records = _template(names, len(samples))
+    _STAMP.pack_into(buffer, 4, *divmod(int(chunk.stamp_ns), _NS_PER_S))
+    if len(samples) and names:
+        records["q"] = samples.q
+        records["v"] = samples.v
+        records["a"] = samples.a
+    if len(samples):
+        seconds = times_ns // _NS_PER_S
         records["sec"] = seconds
-        records["nanosec"] = time_from_start_ns - seconds * _NS_PER_S
+        records["nanosec"] = times_ns - seconds * _NS_PER_S
     return bytes(memoryview(buffer)[:-4])
 
 
-def decode(payload: bytes) -> Fields | None:
-    """Fields of a chunk, or None if the bytes are not of this regular shape."""
+def decode(payload: bytes) -> TrajectoryChunk | None:
+    """A chunk, or None if the bytes are not of this regular shape."""
     parsed = _parse_names(payload)
     if parsed is None:
         return None
@@ -133,7 +121,7 @@ def decode(payload: bytes) -> Fields | None:
         return None
     times = records["sec"].astype(np.int64) * _NS_PER_S + records["nanosec"]
     q, v, a = (np.ascontiguousarray(records[name], dtype=np.float64) for name in "qva")
-    return stamp_ns, names, times, q, v, a
+    return TrajectoryChunk(stamp_ns, names, times, JointTrajectory(q, v, a))
 
 
 def _parse_names(payload: bytes) -> tuple[int, tuple[str, ...], int, int] | None:

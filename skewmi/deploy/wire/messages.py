@@ -15,14 +15,13 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from rosbags.serde.errors import SerdeError
 
 from skewmi.deploy.wire import chunk_codec, ros2_types
 from skewmi.deploy.wire.topics import DIAGNOSTIC_ARRAY, JOINT_STATE, JOINT_TRAJECTORY
 from skewmi.errors import TransportError
+from skewmi.trajectory import Array, JointTrajectory, TrajectoryChunk
 
-Array = NDArray[np.float64]
 _Message = TypeVar("_Message")
 
 OK, WARN, ERROR = 0, 1, 2
@@ -34,24 +33,6 @@ _NS_PER_S = 1_000_000_000
 
 MALFORMED = (SerdeError, struct.error, ValueError, IndexError, OverflowError, AssertionError)
 """What decoding hostile bytes can raise inside rosbags and numpy (UnicodeDecodeError included)."""
-
-
-@dataclass(frozen=True)
-class TrajectoryChunk:
-    """Samples of commanded motion on a uniform grid; the last one is at rest."""
-
-    stamp_ns: int
-    """Robot server clock at which the first sample is due, ns."""
-    joint_names: tuple[str, ...]
-    """Names of the d joints, chain order."""
-    time_from_start_ns: NDArray[np.int64]
-    """When each sample is due after the stamp, ns. Shape (n,)."""
-    q: Array
-    """Positions, rad. Shape (n, d)."""
-    v: Array
-    """Velocities, rad/s. Shape (n, d)."""
-    a: Array
-    """Accelerations, rad/s^2. Shape (n, d)."""
 
 
 @dataclass(frozen=True)
@@ -94,18 +75,16 @@ def encode_chunk(chunk: TrajectoryChunk) -> bytes:
         TransportError: Shapes disagree.
     """
     shape = (len(chunk.time_from_start_ns), len(chunk.joint_names))
-    if not chunk.q.shape == chunk.v.shape == chunk.a.shape == shape:
+    if chunk.trajectory.q.shape != shape:
         raise TransportError(
-            f"chunk of {shape[0]} samples for {shape[1]} joints has q {chunk.q.shape}, "
-            f"v {chunk.v.shape}, a {chunk.a.shape}; all must be {shape}"
+            f"chunk of {shape[0]} times for {shape[1]} joints has samples of shape "
+            f"{chunk.trajectory.q.shape}; they must be {shape}"
         )
-    return chunk_codec.encode(
-        chunk.stamp_ns, chunk.joint_names, chunk.time_from_start_ns, chunk.q, chunk.v, chunk.a
-    )
+    return chunk_codec.encode(chunk)
 
 
 def decode_chunk(payload: bytes) -> TrajectoryChunk:
-    """Inverse of `encode_chunk`; the values may still be NaN, which `deploy.limits` refuses.
+    """Inverse of `encode_chunk`; the values may still be NaN, which `deploy.safety` refuses.
 
     Raises:
         TransportError: Not a JointTrajectory, or one whose points have not all positions,
@@ -113,28 +92,30 @@ def decode_chunk(payload: bytes) -> TrajectoryChunk:
     """
     decoded = chunk_codec.decode(payload)
     if decoded is not None:
-        return TrajectoryChunk(*decoded)
+        return decoded
     message = _guarded(
         payload, JOINT_TRAJECTORY, lambda: ros2_types.decode(payload, JOINT_TRAJECTORY)
     )
-    names = tuple(message.joint_names)
+    names, points = tuple(message.joint_names), message.points
     count = len(names)
-    for index, point in enumerate(message.points):
+    for index, point in enumerate(points):
         lengths = (len(point.positions), len(point.velocities), len(point.accelerations))
         if lengths != (count, count, count):
             raise TransportError(
                 f"trajectory point {index} has {lengths} positions, velocities, accelerations; "
                 f"each must be {count}, one per joint"
             )
-    shape = (len(message.points), count)
-    times = [p.time_from_start.sec * _NS_PER_S + p.time_from_start.nanosec for p in message.points]
+    times = [p.time_from_start.sec * _NS_PER_S + p.time_from_start.nanosec for p in points]
+    fields = ("positions", "velocities", "accelerations")
+    samples = (
+        np.array([getattr(p, field) for p in points], dtype=np.float64).reshape(len(points), count)
+        for field in fields
+    )
     return TrajectoryChunk(
         stamp_ns=_stamp_ns(message.header.stamp),
         joint_names=names,
         time_from_start_ns=np.array(times, dtype=np.int64),
-        q=np.array([p.positions for p in message.points], dtype=np.float64).reshape(shape),
-        v=np.array([p.velocities for p in message.points], dtype=np.float64).reshape(shape),
-        a=np.array([p.accelerations for p in message.points], dtype=np.float64).reshape(shape),
+        trajectory=JointTrajectory(*samples),
     )
 
 

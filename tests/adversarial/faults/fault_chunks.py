@@ -10,9 +10,9 @@ import ruckig
 from fault_motion import ACCELERATION, JERK, LOWER, UPPER, VELOCITY, H
 
 from skewmi.deploy.motion.brake import plan_stop
-from skewmi.deploy.wire.messages import TrajectoryChunk
 from skewmi.policy_io import Array
 from skewmi.robot_models import yumi
+from skewmi.trajectory import JointTrajectory, TrajectoryChunk
 
 INSIDE = 0.97
 """Share of a limit that a breach of another one uses."""
@@ -115,18 +115,15 @@ def breaching(kind: str) -> Callable[[TrajectoryChunk], TrajectoryChunk]:
     """Replaces a chunk by one that starts like it and breaks a limit."""
 
     def change(chunk: TrajectoryChunk) -> TrajectoryChunk:
-        q, v, a = breach(kind, (chunk.q[0], chunk.v[0], chunk.a[0]))
-        times = np.arange(len(q), dtype=np.int64) * round(H * 1e9)
-        return TrajectoryChunk(chunk.stamp_ns, chunk.joint_names, times, q, v, a)
+        samples = JointTrajectory(*breach(kind, chunk.trajectory.point(0)))
+        return TrajectoryChunk.of(chunk.stamp_ns, chunk.joint_names, samples)
 
     return change
 
 
 def rows_of(chunk: TrajectoryChunk, rows: slice | Array) -> TrajectoryChunk:
     """Some samples of a chunk, on the grid from 0."""
-    q, v, a = chunk.q[rows], chunk.v[rows], chunk.a[rows]
-    times = np.arange(len(q), dtype=np.int64) * round(H * 1e9)
-    return replace(chunk, time_from_start_ns=times, q=q, v=v, a=a)
+    return TrajectoryChunk.of(chunk.stamp_ns, chunk.joint_names, chunk.trajectory.part(rows))
 
 
 def one_point(chunk: TrajectoryChunk) -> TrajectoryChunk:
@@ -134,12 +131,13 @@ def one_point(chunk: TrajectoryChunk) -> TrajectoryChunk:
 
 
 def six_joints(chunk: TrajectoryChunk) -> TrajectoryChunk:
-    names = chunk.joint_names[:6]
-    return replace(chunk, joint_names=names, q=chunk.q[:, :6], v=chunk.v[:, :6], a=chunk.a[:, :6])
+    samples = chunk.trajectory
+    fewer = JointTrajectory(samples.q[:, :6], samples.v[:, :6], samples.a[:, :6])
+    return replace(chunk, joint_names=chunk.joint_names[:6], trajectory=fewer)
 
 
 def too_many_points(chunk: TrajectoryChunk) -> TrajectoryChunk:
-    return rows_of(chunk, np.minimum(np.arange(501), len(chunk.q) - 1))
+    return rows_of(chunk, np.minimum(np.arange(501), len(chunk.trajectory) - 1))
 
 
 def sorted_names(chunk: TrajectoryChunk) -> TrajectoryChunk:
@@ -152,13 +150,17 @@ def left_arm(chunk: TrajectoryChunk) -> TrajectoryChunk:
 
 
 def one_nan(chunk: TrajectoryChunk) -> TrajectoryChunk:
-    q = chunk.q.copy()
+    q = chunk.trajectory.q.copy()
     q[len(q) // 2, 3] = np.nan
-    return replace(chunk, q=q)
+    return _with_positions(chunk, q)
 
 
 def far_away(chunk: TrajectoryChunk) -> TrajectoryChunk:
-    return replace(chunk, q=chunk.q + 0.3)
+    return _with_positions(chunk, chunk.trajectory.q + 0.3)
+
+
+def _with_positions(chunk: TrajectoryChunk, q: Array) -> TrajectoryChunk:
+    return replace(chunk, trajectory=replace(chunk.trajectory, q=q))
 
 
 def without_tail(chunk: TrajectoryChunk) -> TrajectoryChunk:

@@ -13,10 +13,10 @@ from fault_chunks import rows_of
 from fault_link import Delivery, Message
 
 from skewmi.cli.stop import StopCommand, run_stop
-from skewmi.deploy.session.stream import CYCLE_NS, CYCLE_TICKS
 from skewmi.deploy.wire import topics
-from skewmi.deploy.wire.messages import TrajectoryChunk, decode_joint_states, encode_joint_states
+from skewmi.deploy.wire.messages import decode_joint_states, encode_joint_states
 from skewmi.deploy.wire.transport import Link, TransportConfig
+from skewmi.trajectory import CYCLE_NS, CYCLE_TICKS, TrajectoryChunk
 
 Inject = Callable[[Cell], None]
 Change = Callable[[TrajectoryChunk], TrajectoryChunk]

@@ -21,12 +21,12 @@ from skewmi.deploy.robot.process import free_port
 from skewmi.deploy.wire import ros2_keys, topics
 from skewmi.deploy.wire.messages import (
     Status,
-    TrajectoryChunk,
     decode_chunk,
     decode_status,
     encode_chunk,
 )
 from skewmi.deploy.wire.transport import TransportConfig
+from skewmi.trajectory import TrajectoryChunk
 
 SERVICE_TIMEOUT_S = 5.0
 MOVING = 0.2

@@ -11,12 +11,13 @@ from typing import Any
 
 from fault_chunks import breach
 
-from skewmi.deploy.motion.planner import PlannedChunk, Planner
+from skewmi.deploy.motion.planner import Planner
 from skewmi.deploy.motion.start_motion import StartMotion
 from skewmi.deploy.session import episode as episode_module
 from skewmi.deploy.session import session as session_module
 from skewmi.deploy.session.preflight import planning_limits
 from skewmi.robot_models.limits import JointLimits
+from skewmi.trajectory import CYCLE_TICKS, JointTrajectory
 
 BREACHES = (
     "position",
@@ -55,7 +56,7 @@ class Planted:
         self._began()
         return True
 
-    def plan(self, chunk: PlannedChunk) -> PlannedChunk:
+    def plan(self, chunk: JointTrajectory) -> JointTrajectory:
         """What becomes of a planned chunk before it is checked."""
         return chunk
 
@@ -67,11 +68,11 @@ class Planted:
         planted = self
 
         class FaultyPlanner(Planner):
-            def step(self, splice: int | None = None) -> PlannedChunk:
+            def step(self, splice: int = CYCLE_TICKS) -> JointTrajectory:
                 return planted.plan(super().step(splice))
 
         class FaultyStart(StartMotion):
-            def chunk(self, cycle: int) -> PlannedChunk:
+            def chunk(self, cycle: int) -> JointTrajectory:
                 return planted.plan(super().chunk(cycle))
 
         def weak_limits(profile: str, speed: float) -> JointLimits:
@@ -95,14 +96,14 @@ class Breach(Planted):
             # With half the torque, a burst within the acceleration limit needs too much.
             self.torque_share = WEAK
 
-    def plan(self, chunk: PlannedChunk) -> PlannedChunk:
-        return PlannedChunk(*breach(self._kind, chunk.state(0))) if self._due() else chunk
+    def plan(self, chunk: JointTrajectory) -> JointTrajectory:
+        return JointTrajectory(*breach(self._kind, chunk.point(0))) if self._due() else chunk
 
 
 class Overrun(Planted):
     """One cycle's planning takes three cycles."""
 
-    def plan(self, chunk: PlannedChunk) -> PlannedChunk:
+    def plan(self, chunk: JointTrajectory) -> JointTrajectory:
         if self._due():
             time.sleep(OVERRUN_S)
         return chunk

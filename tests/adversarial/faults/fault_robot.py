@@ -19,9 +19,9 @@ import numpy as np
 from skewmi.cli.main import main
 from skewmi.deploy.robot import run as robot_run
 from skewmi.deploy.robot.backends.mujoco.backend import SimTwin
-from skewmi.deploy.robot.executor import PlanPoint
 from skewmi.deploy.robot.process import free_port
 from skewmi.policy_io import Array
+from skewmi.trajectory import JointPoint
 
 LOG_VARIABLE = "SKEWMI_FAULTS_LOG"
 STEP, RESET = 0.0, 1.0
@@ -36,7 +36,7 @@ class WatchedTwin(SimTwin):
         self._log = os.open(os.environ[LOG_VARIABLE], os.O_WRONLY | os.O_CREAT | os.O_APPEND)
         super().__init__(*args, **options)
 
-    def step(self, target: PlanPoint) -> None:
+    def step(self, target: JointPoint) -> None:
         super().step(target)
         self._write(STEP, target.q)
 

@@ -9,7 +9,6 @@ from fault_motion import BOX_HIGH, BOX_LOW, BOX_ROOM, hand
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skewmi.deploy.robot.executor import PlanPoint
 from skewmi.deploy.robot.run import limit_check
 from skewmi.errors import LimitViolationError
 from skewmi.policy_io import Array
@@ -17,6 +16,7 @@ from skewmi.robot_models import limits as joint_limits
 from skewmi.robot_models.frames import rotation_from_quaternion
 from skewmi.robot_models.kinematics import ArmKinematics
 from skewmi.sim.open_press_close.definition import make_layout
+from skewmi.trajectory import JointPoint, JointTrajectory
 
 WORKSPACE = make_layout().workspace
 assert WORKSPACE is not None
@@ -39,7 +39,7 @@ def check(start: Array, goal: Array) -> object:
     """Judge a slow motion from rest to rest; also the judgement of its hand, m outside."""
     zero = np.zeros(7)
     q, v, a = motion((start, zero, zero), goal, SLOW, 10.0, 500.0)
-    return CHECK(q, v, a, PlanPoint(start, zero, zero), np.tile(start, (3, 1)))
+    return CHECK(JointTrajectory(q, v, a), JointPoint(start, zero, zero), np.tile(start, (3, 1)))
 
 
 @settings(max_examples=40, deadline=None)

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from skewmi.deploy.motion.cartesian_shaper import CartesianShaper, Reference
-from skewmi.deploy.motion.planner import PlannedChunk, Planner
+from skewmi.deploy.motion.planner import Planner
 from skewmi.deploy.safety.limits import ChunkChecker
 from skewmi.errors import ConfigurationError, KinematicsError, LimitViolationError
 from skewmi.policy_io import Array, Workspace
@@ -65,7 +65,7 @@ def follow(
         command.append(begin + share * (planner.command_position - begin))
         q.append(chunk.q[:5])
         a.append(chunk.a[:5])
-        continued += chunk.continued is not None
+        continued += planner.held_back is not None
     position, rotation = KINEMATICS.forward(np.vstack(q))
     tilt = rotation_vector(np.swapaxes(rotation, -1, -2) @ frames.HAND_DOWN)
     return Run(
@@ -107,7 +107,7 @@ def test_any_policy_keeps_the_limits(actions: list[tuple[float, float, float]]) 
         for _ in range(5):
             chunk = planner.step()
             checker.check(chunk.q, chunk.v, chunk.a, state)
-            state = chunk.state(5)
+            state = chunk.point(5)
 
 
 # Splices and stops.
@@ -121,7 +121,7 @@ def test_chunks_join_exactly_and_end_at_rest(planner: Planner) -> None:
         if cycle % 5 == 0:
             planner.set_target(rng.uniform(planner.workspace.low, planner.workspace.high), 0.1)
         chunk = planner.step()
-        for mine, expected in zip((chunk.q, chunk.v, chunk.a), previous.state(5), strict=True):
+        for mine, expected in zip((chunk.q, chunk.v, chunk.a), previous.point(5), strict=True):
             np.testing.assert_array_equal(mine[0], expected)
         assert len(chunk.q) > 5
         assert not chunk.v[-1].any()
@@ -136,7 +136,7 @@ def test_late_splice_goes_on_from_the_braking_arm(planner: Planner, late: int) -
     for _ in range(15):
         chunk = planner.step()
     later = planner.step(late)
-    for mine, expected in zip((later.q, later.v, later.a), chunk.state(late), strict=True):
+    for mine, expected in zip((later.q, later.v, later.a), chunk.point(late), strict=True):
         np.testing.assert_array_equal(mine[0], expected)
     # The command has gone on meanwhile, and the hand gets there.
     run = follow(planner, [], settle_cycles=100)
@@ -279,9 +279,7 @@ def test_shaped_command_never_leaves_the_box(seed: int) -> None:
     rng = np.random.default_rng(seed)
     half = 10 ** rng.uniform(-3, -0.5, 3)
     acceleration, jerk = 10 ** rng.uniform(-1, 1), 10 ** rng.uniform(0, 3)
-    shaper = CartesianShaper(
-        -half, half, speed=0.5, acceleration=acceleration, jerk=jerk, grid_dt=0.004
-    )
+    shaper = CartesianShaper(-half, half, speed=0.5, acceleration=acceleration, jerk=jerk)
     reference = Reference(shaper.position_w)
     before = shaper.velocity_w, shaper.acceleration_w
     for k in range(150):
@@ -337,7 +335,6 @@ def test_reset_refuses_what_it_cannot_continue(planner: Planner) -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda w: Planner(w, limits.profile("lab"), cycle_dt=0.021), "multiple"),
         (lambda w: Planner(w, limits.profile("lab")).step(), "reset"),
         (lambda w: Planner(replace(w, start=(0.0, 0.0, 0.2)), limits.profile("lab")), "start"),
     ],
@@ -358,10 +355,3 @@ def test_unreachable_box_is_refused(workspace: Workspace) -> None:
 def test_negative_splice_is_refused(planner: Planner) -> None:
     with pytest.raises(ConfigurationError, match="negative"):
         planner.step(-1)
-
-
-def test_rest_of_a_chunk_is_padded_with_rest() -> None:
-    q = np.arange(4.0)[:, None] * np.ones((4, 7))
-    chunk = PlannedChunk(q, 0 * q, 0 * q).rest_of(2, 6, "why")
-    np.testing.assert_array_equal(chunk.q[:, 0], [2.0, 3.0, 3.0, 3.0, 3.0, 3.0])
-    assert chunk.continued == "why"

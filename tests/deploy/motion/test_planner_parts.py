@@ -60,7 +60,7 @@ def test_inverse_kinematics_solves_minks_program() -> None:
     """Put together here or by mink, with bounds that bind: the same velocities."""
     rng = np.random.default_rng(0)
     model, dt = _arm_model(), 0.004
-    ik = DifferentialIk(START, frames.HAND_DOWN, dt)
+    ik = DifferentialIk(START, frames.HAND_DOWN)
     hand = mink.FrameTask(
         yumi.tool_name("right"),
         "site",

@@ -19,11 +19,12 @@ from skewmi.deploy.replay.assembler import understand
 from skewmi.deploy.replay.data import Motion, tracking_error
 from skewmi.deploy.replay.replay import write_replay
 from skewmi.deploy.wire import messages, topics
-from skewmi.deploy.wire.messages import JointStates, Status, TrajectoryChunk
+from skewmi.deploy.wire.messages import JointStates, Status
 from skewmi.errors import ConfigurationError
 from skewmi.policy_io import ActionField, Ball, Field, PolicyLayout, Workspace
 from skewmi.robot_models import frames, limits, yumi
 from skewmi.robot_models.kinematics import ArmKinematics
+from skewmi.trajectory import JointTrajectory, TrajectoryChunk
 
 GRID_NS = 4_000_000
 CYCLE_NS = 20_000_000
@@ -105,8 +106,7 @@ def write_recording(path: Path, *, metadata: bool = True) -> None:
             stamp_ns = EPOCH_NS + cycle * CYCLE_NS
             now_s = cycle * 0.02
             chunk_s = now_s + np.arange(20) * 0.004
-            times = np.arange(20, dtype=np.int64) * GRID_NS
-            chunk = TrajectoryChunk(stamp_ns, names, times, *motion(chunk_s))
+            chunk = TrajectoryChunk.of(stamp_ns, names, JointTrajectory(*motion(chunk_s)))
             writer.write(topics.YUMI_TRAJECTORY, messages.encode_chunk(chunk))
             q, v, _ = motion(np.array([now_s - 0.01]))
             measured = JointStates(

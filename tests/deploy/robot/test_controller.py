@@ -8,10 +8,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from skewmi.deploy.motion.start_motion import StartMotion
-from skewmi.deploy.robot.backend import GRID_NS, BackendFaultError
+from skewmi.deploy.robot.backend import BackendFaultError
 from skewmi.deploy.robot.backends.mujoco.backend import SimTwin
 from skewmi.deploy.robot.controller import LEASE_NS, RobotController
-from skewmi.deploy.robot.executor import PlanExecutor, PlanPoint
+from skewmi.deploy.robot.executor import PlanExecutor
 from skewmi.deploy.robot.refusals import Refusal
 from skewmi.deploy.robot.run import limit_check
 from skewmi.deploy.robot.states import ServerState
@@ -20,9 +20,10 @@ from skewmi.deploy.safety.validation import (
     ChunkValidator,
     ValidationRules,
 )
-from skewmi.deploy.wire.messages import JointStates, TrajectoryChunk, encode_chunk
+from skewmi.deploy.wire.messages import JointStates, encode_chunk
 from skewmi.errors import CommandRefusedError, NotFoundError
 from skewmi.robot_models import limits as joint_limits
+from skewmi.trajectory import GRID_NS, JointPoint, JointTrajectory, TrajectoryChunk
 
 LAB = joint_limits.profile("lab")
 OURS, OTHER, GRIPPER = b"a" * 16, b"b" * 16, b"g" * 16
@@ -33,11 +34,11 @@ class WatchedTwin(SimTwin):
     """The twin, and every target that it was given."""
 
     def __init__(self) -> None:
-        self.targets: list[PlanPoint] = []
+        self.targets: list[JointPoint] = []
         super().__init__()
 
-    def step(self, target: PlanPoint) -> None:
-        self.targets.append(PlanPoint(*(x.copy() for x in target)))
+    def step(self, target: JointPoint) -> None:
+        self.targets.append(JointPoint(*(x.copy() for x in target)))
         super().step(target)
 
 
@@ -56,15 +57,18 @@ def robot(twin: WatchedTwin) -> RobotController:
     return RobotController(twin, validator)
 
 
-def motion_from(robot: RobotController, size: float = 0.03) -> StartMotion:
+def start_motion(robot: RobotController, size: float = 0.03) -> StartMotion:
     start = np.array(robot.commanded_position())
     return StartMotion(start, start + size * np.array([1, -0.5, 0, 0.5, 0, 1, 0]), LAB)
 
 
-def payload(robot: RobotController, motion: StartMotion, tick: int) -> bytes:
-    times = np.arange(len(motion.q), dtype=np.int64) * GRID_NS
-    names = tuple(robot.plan and robot._backend.joint_names)
-    return encode_chunk(TrajectoryChunk(tick * GRID_NS, names, times, motion.q, motion.v, motion.a))
+def motion_from(robot: RobotController, size: float = 0.03) -> JointTrajectory:
+    return start_motion(robot, size).trajectory
+
+
+def payload(robot: RobotController, motion: JointTrajectory, tick: int) -> bytes:
+    names = robot._backend.joint_names
+    return encode_chunk(TrajectoryChunk.of(tick * GRID_NS, names, motion))
 
 
 def run(robot: RobotController, ticks: int, now_ns: int = 0) -> None:
@@ -72,7 +76,7 @@ def run(robot: RobotController, ticks: int, now_ns: int = 0) -> None:
         robot.step(now_ns)
 
 
-def start_moving(robot: RobotController, size: float = 0.03) -> StartMotion:
+def start_moving(robot: RobotController, size: float = 0.03) -> JointTrajectory:
     motion = motion_from(robot, size)
     robot.arm(OURS + GRIPPER, 0)
     assert robot.receive(payload(robot, motion, robot.tick_index + 3), OURS, 1, 0)
@@ -115,14 +119,10 @@ def test_executes_chunks_exactly_on_the_grid(robot: RobotController) -> None:
 
 
 def test_keeps_executing_the_tail_if_nothing_newer_comes(robot: RobotController) -> None:
-    whole = motion_from(robot, size=0.1)
+    whole = start_motion(robot, size=0.1)
     robot.arm(OURS, 0)
     for cycle in range(4):
-        chunk = whole.chunk(cycle)
-        times = np.arange(len(chunk.q), dtype=np.int64) * GRID_NS
-        stamp = (10 + 5 * cycle) * GRID_NS
-        names = robot._backend.joint_names
-        data = encode_chunk(TrajectoryChunk(stamp, names, times, chunk.q, chunk.v, chunk.a))
+        data = payload(robot, whole.chunk(cycle), 10 + 5 * cycle)
         assert robot.receive(data, OURS, cycle + 1, 0), robot.refusals
     assert np.abs(whole.chunk(3).v[5]).max() > 0.1, "the arm should be moving when all is quiet"
     run(robot, 120)
@@ -219,7 +219,7 @@ def test_fault_while_moving_still_follows_the_tail(
     run(robot, 9)
     step = robot._backend.step
 
-    def broken(target: PlanPoint) -> None:
+    def broken(target: JointPoint) -> None:
         step(target)
         raise BackendFaultError("a fan stands still")
 
@@ -355,10 +355,8 @@ def test_what_strangers_say_is_told_in_one_short_line(robot: RobotController, te
 
 
 def test_the_longest_chunk_is_not_too_long(robot: RobotController) -> None:
-    rows = np.zeros((ValidationRules.max_points, 7))
-    times = np.arange(len(rows), dtype=np.int64) * GRID_NS
-    chunk = TrajectoryChunk(0, robot._backend.joint_names, times, rows, rows, rows)
-    assert len(encode_chunk(chunk)) < MAX_CHUNK_BYTES
+    longest = JointTrajectory.resting(np.zeros(7), ValidationRules.max_points)
+    assert len(payload(robot, longest, 0)) < MAX_CHUNK_BYTES
 
 
 def test_gripper_commands_name_their_joint(robot: RobotController) -> None:
@@ -450,7 +448,7 @@ def test_plan_is_the_newest_chunk_at_every_tick(ends: list[tuple[int, int]]) -> 
         now += 3
         tick = now + ahead
         q = np.full((length, 1), float(number))
-        plan.splice(tick, q, q, q, now)
+        plan.splice(tick, JointTrajectory(q, q, q), now)
         for t in range(now, now + 100):
             if t >= tick:
                 expected[t] = float(number)

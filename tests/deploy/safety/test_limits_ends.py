@@ -21,6 +21,7 @@ from skewmi.deploy.safety.limits import GRID_DT, ChunkChecker
 from skewmi.errors import LimitViolationError
 from skewmi.policy_io import Array
 from skewmi.robot_models import limits
+from skewmi.trajectory import JointTrajectory
 
 LAB = limits.profile("lab")
 CHECKER = ChunkChecker(LAB)
@@ -138,7 +139,7 @@ def follow(first: list[Array], second: list[Array]) -> None:
     plan = PlanExecutor(MIDDLE, 10)
     rest = MIDDLE, np.zeros(7), np.zeros(7)
     CHECKER.check(*first, previous=rest, earlier=plan.before(10))
-    plan.splice(10, *first, now=10)
+    plan.splice(10, JointTrajectory(*first), now=10)
     at_splice = plan.point(10 + SPLICE)
     for part, value in zip(second, at_splice, strict=True):
         part[0] = value
@@ -164,10 +165,10 @@ def test_samples_of_one_motion_pass_wherever_they_are_spliced(
 ) -> None:
     """Whatever the grid cuts out of a motion that keeps the limits keeps them over the ends."""
     rng = np.random.default_rng(seed)
-    motion = StartMotion(MIDDLE, MIDDLE + size * rng.uniform(-1.0, 1.0, 7), LAB)
+    motion = StartMotion(MIDDLE, MIDDLE + size * rng.uniform(-1.0, 1.0, 7), LAB).trajectory
     splice = min(splice, len(motion.q) - 2)
     plan = PlanExecutor(MIDDLE, 5)
-    plan.splice(5, motion.q, motion.v, motion.a, now=5)
+    plan.splice(5, motion, now=5)
     rest = (x[splice:] for x in (motion.q, motion.v, motion.a))
     now = 5 + splice
     CHECKER.check(*rest, previous=plan.point(now), earlier=plan.before(now))
@@ -181,7 +182,7 @@ def test_the_plan_remembers_what_was_executed(gaps: list[int], seed: int) -> Non
     executed = {k: np.zeros(7) for k in range(7 - REMEMBERED, 7)}
     for gap in gaps:
         q = rng.normal(size=(rng.integers(2, 40), 7))
-        plan.splice(tick + int(rng.integers(0, 20)), q, q, q, now=tick)
+        plan.splice(tick + int(rng.integers(0, 20)), JointTrajectory(q, q, q), now=tick)
         for _ in range(gap):
             executed[tick] = plan.point(tick).q
             tick += 1

@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from skewmi.deploy.motion.start_motion import StartMotion
-from skewmi.deploy.robot.backend import GRID_NS
 from skewmi.deploy.robot.executor import PlanExecutor
 from skewmi.deploy.robot.run import limit_check
 from skewmi.deploy.safety.validation import (
@@ -18,11 +17,11 @@ from skewmi.deploy.safety.validation import (
     ChunkValidator,
     ValidationRules,
 )
-from skewmi.deploy.wire.messages import TrajectoryChunk
 from skewmi.errors import CommandRefusedError
 from skewmi.robot_models import limits as joint_limits
 from skewmi.robot_models import yumi
 from skewmi.sim.open_press_close.definition import make_layout
+from skewmi.trajectory import GRID_NS, JointTrajectory, TrajectoryChunk
 
 LAB = joint_limits.profile("lab")
 NAMES = yumi.joint_names("right")
@@ -35,15 +34,18 @@ NOW = 100
 LATER = NOW + 10
 
 
-def small_motion() -> StartMotion:
+def small_motion() -> JointTrajectory:
     """A few millimetres of hand travel, inside every limit."""
-    return StartMotion(START, START + np.array([0.02, -0.01, 0.0, 0.01, 0.0, 0.02, 0.0]), LAB)
+    step = np.array([0.02, -0.01, 0.0, 0.01, 0.0, 0.02, 0.0])
+    return StartMotion(START, START + step, LAB).trajectory
+
+
+def chunk_of(samples: JointTrajectory, tick: int = LATER) -> TrajectoryChunk:
+    return TrajectoryChunk.of(tick * GRID_NS, NAMES, samples)
 
 
 def good_chunk(tick: int = LATER) -> TrajectoryChunk:
-    motion = small_motion()
-    times = np.arange(len(motion.q), dtype=np.int64) * GRID_NS
-    return TrajectoryChunk(tick * GRID_NS, NAMES, times, motion.q, motion.v, motion.a)
+    return chunk_of(small_motion(), tick)
 
 
 def resting_plan() -> PlanExecutor:
@@ -52,9 +54,9 @@ def resting_plan() -> PlanExecutor:
 
 def changed(field: str, row: int, column: int, by: float) -> TrajectoryChunk:
     chunk = good_chunk()
-    values = getattr(chunk, field).copy()
+    values = getattr(chunk.trajectory, field).copy()
     values[row, column] += by
-    return replace(chunk, **{field: values})
+    return replace(chunk, trajectory=replace(chunk.trajectory, **{field: values}))
 
 
 def test_the_chunk_that_all_tests_start_from_is_accepted() -> None:
@@ -115,20 +117,17 @@ def test_any_value_that_is_not_finite_is_refused(
         VALIDATOR.check(changed(field, row, column, value), resting_plan(), NOW)
 
 
-@pytest.mark.parametrize("field", ["q", "v", "a"])
-def test_arrays_of_other_shapes_are_refused(field: str) -> None:
-    values = getattr(good_chunk(), field)
-    for wrong in (values[:-1], values[:, :6], values[:0], values.ravel()):
+def test_samples_of_other_shapes_are_refused() -> None:
+    q = small_motion().q
+    for wrong in (q[:-1], q[:, :6], q[:0]):
+        samples = JointTrajectory(wrong, 0 * wrong, 0 * wrong)
         with pytest.raises(CommandRefusedError, match="shape"):
-            VALIDATOR.check(replace(good_chunk(), **{field: wrong}), resting_plan(), NOW)
+            VALIDATOR.check(replace(good_chunk(), trajectory=samples), resting_plan(), NOW)
 
 
 def test_chunks_of_one_point_or_of_thousands_are_refused() -> None:
-    one = np.zeros((1, 7))
-    many = np.tile(START, (501, 1))
-    for q in (one, many):
-        times = np.arange(len(q), dtype=np.int64) * GRID_NS
-        chunk = TrajectoryChunk(LATER * GRID_NS, NAMES, times, q, 0 * q, 0 * q)
+    for count in (1, 501):
+        chunk = chunk_of(JointTrajectory.resting(START, count))
         with pytest.raises(CommandRefusedError, match="points"):
             VALIDATOR.check(chunk, resting_plan(), NOW)
 
@@ -153,12 +152,9 @@ def test_a_chunk_that_does_not_start_on_the_plan_is_refused(joint: int, step: fl
 def test_a_chunk_splices_with_a_moving_plan_only_where_it_belongs() -> None:
     motion = small_motion()
     plan = resting_plan()
-    plan.splice(LATER, motion.q, motion.v, motion.a, NOW)
-    rest_of = slice(7, None)
-    q, v, a = motion.q[rest_of], motion.v[rest_of], motion.a[rest_of]
-    times = np.arange(len(q), dtype=np.int64) * GRID_NS
-    for tick in range(NOW, LATER + len(motion.q)):
-        chunk = TrajectoryChunk(tick * GRID_NS, NAMES, times, q, v, a)
+    plan.splice(LATER, motion, NOW)
+    for tick in range(NOW, LATER + len(motion)):
+        chunk = chunk_of(motion.part(slice(7, None)), tick)
         if tick == LATER + 7:
             assert VALIDATOR.check(chunk, plan, NOW) == tick
         else:
@@ -168,17 +164,10 @@ def test_a_chunk_splices_with_a_moving_plan_only_where_it_belongs() -> None:
 
 @pytest.mark.parametrize("rows", range(3, 21, 3))
 def test_a_chunk_that_ends_while_moving_is_refused(rows: int) -> None:
-    chunk = good_chunk()
-    assert rows < len(chunk.q) - 2
-    cut = replace(
-        chunk,
-        time_from_start_ns=chunk.time_from_start_ns[:rows],
-        q=chunk.q[:rows],
-        v=chunk.v[:rows],
-        a=chunk.a[:rows],
-    )
+    motion = small_motion()
+    assert rows < len(motion) - 2
     with pytest.raises(CommandRefusedError, match="end at rest"):
-        VALIDATOR.check(cut, resting_plan(), NOW)
+        VALIDATOR.check(chunk_of(motion.part(slice(0, rows))), resting_plan(), NOW)
 
 
 def test_a_chunk_beyond_the_limits_is_refused_by_the_independent_checker() -> None:
@@ -192,19 +181,15 @@ def test_a_chunk_beyond_the_limits_is_refused_by_the_independent_checker() -> No
         jerk=1.1 * LAB.jerk,
         torque=LAB.torque,
     )
-    motion = StartMotion(START, START + 0.05, fast)
-    times = np.arange(len(motion.q), dtype=np.int64) * GRID_NS
-    chunk = TrajectoryChunk(LATER * GRID_NS, NAMES, times, motion.q, motion.v, motion.a)
+    chunk = chunk_of(StartMotion(START, START + 0.05, fast).trajectory)
     with pytest.raises(CommandRefusedError, match=r"acceleration|jerk"):
         VALIDATOR.check(chunk, resting_plan(), NOW)
 
 
 def test_a_motion_out_of_the_box_is_refused() -> None:
     out = StartMotion(START, START + 0.1 * (np.array(yumi.HOME["right"]) - START), LAB)
-    times = np.arange(len(out.q), dtype=np.int64) * GRID_NS
-    chunk = TrajectoryChunk(LATER * GRID_NS, NAMES, times, out.q, out.v, out.a)
     with pytest.raises(CommandRefusedError, match="outside the workspace") as caught:
-        VALIDATOR.check(chunk, resting_plan(), NOW)
+        VALIDATOR.check(chunk_of(out.trajectory), resting_plan(), NOW)
     assert caught.value.args == (str(caught.value),), "the reason is text, as it goes over the wire"
 
 

@@ -42,7 +42,11 @@ def hands(path: Path) -> tuple[Array, Array]:
     for message in recording.messages[topics.YUMI_TRAJECTORY.name]:
         chunk = decode_chunk(message.payload)
         commanded.update(
-            zip((chunk.stamp_ns + chunk.time_from_start_ns).tolist(), chunk.q, strict=True)
+            zip(
+                (chunk.stamp_ns + chunk.time_from_start_ns).tolist(),
+                chunk.trajectory.q,
+                strict=True,
+            )
         )
     names = yumi.joint_names("right")
     rows = []

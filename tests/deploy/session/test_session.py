@@ -33,7 +33,7 @@ from skewmi.deploy.session.preflight import (
     followed_speed,
     planning_limits,
 )
-from skewmi.deploy.session.stream import CYCLE_NS, GRID_NS, ChunkStream
+from skewmi.deploy.session.stream import ChunkStream
 from skewmi.deploy.session.timing import CycleTimes, percentiles_ms
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.transport import Link, TransportConfig
@@ -49,6 +49,7 @@ from skewmi.robot_models import limits as joint_limits
 from skewmi.robot_models import yumi
 from skewmi.robot_models.kinematics import ArmKinematics
 from skewmi.sim.open_press_close.definition import make_layout
+from skewmi.trajectory import CYCLE_NS, GRID_NS, JointTrajectory
 
 LAB = joint_limits.profile("lab")
 NAMES = yumi.joint_names("right")
@@ -332,7 +333,7 @@ def test_whole_way_to_the_start_is_checked_before_anything_moves() -> None:
     check_way(q_goal + 0.02, q_goal, LAB, checks)
     # Both ends are clear by more than is asked for; the way leads past the other arm.
     guard = Guard(LAB, clearance=0.02)
-    checks = SimpleNamespace(stages=[("guard", lambda q, v, a, *motion: guard.check(q, v, a))])
+    checks = SimpleNamespace(stages=[("guard", lambda way, *_: guard.check(way.q, way.v, way.a))])
     ends = [-2.5, -1.4, -0.4, 1.2, 0.6, -0.5, -2.0], [1.3, -2.4, 1.5, -0.3, 4.3, -1.2, 2.7]
     for end in map(np.array, ends):
         guard.check(np.tile(end, (6, 1)), np.zeros((6, 7)), np.zeros((6, 7)))
@@ -340,12 +341,9 @@ def test_whole_way_to_the_start_is_checked_before_anything_moves() -> None:
         check_way(*map(np.array, ends), LAB, checks)
 
 
-class Resting:
-    """Seven resting joints, as samples."""
-
-    def __init__(self, value: float, rows: int = 8) -> None:
-        self.q = np.full((rows, 7), value)
-        self.v = self.a = np.zeros((rows, 7))
+def resting(value: float) -> JointTrajectory:
+    """Seven resting joints."""
+    return JointTrajectory.resting(np.full(7, value), 8)
 
 
 def make_stream(sent: list[bytes], *, lock_step: bool = True, checks: Any = ()) -> ChunkStream:
@@ -363,7 +361,7 @@ def test_stream_sends_one_chunk_per_state_and_two_after_a_lost_one() -> None:
         splices = []
         for splice in stream.due(stamp * 1_000_000, 0):
             splices.append(splice)
-            stream.send(Resting(0.0))
+            stream.send(resting(0.0))
         counts.append(splices)
     assert counts == [[5], [5], [5], [5, 5], [5]]
     assert stream.missed_cycles == 0
@@ -390,7 +388,7 @@ def test_chunk_that_a_check_refuses_is_not_sent() -> None:
     stream.begin(np.zeros(7), 0)
     next(stream.due(0, 0))
     with pytest.raises(LimitViolationError):
-        stream.send(Resting(0.0))
+        stream.send(resting(0.0))
     assert sent == []
 
 
@@ -399,7 +397,7 @@ def test_stream_remembers_what_was_commanded_when() -> None:
     stream.begin(np.zeros(7), 0)
     for number, stamp in enumerate((0, 20, 40), start=1):
         for _ in stream.due(stamp * 1_000_000, 0):
-            stream.send(Resting(float(number)))
+            stream.send(resting(float(number)))
     values = [stream.commanded(t * 1_000_000)[0] for t in (0, 23, 24, 43, 44, 64, 500)]
     assert values == [0.0, 0.0, 1.0, 1.0, 2.0, 3.0, 3.0]
 

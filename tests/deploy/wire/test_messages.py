@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,8 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from skewmi.deploy.wire import messages, ros2_types, topics
-from skewmi.deploy.wire.messages import JointStates, Status, TrajectoryChunk, TriggerReply
+from skewmi.deploy.wire.messages import JointStates, Status, TriggerReply
 from skewmi.errors import TransportError
+from skewmi.trajectory import JointTrajectory, TrajectoryChunk
 
 NAMES = tuple(f"yumi_joint_{i}_r" for i in (1, 2, 7, 3, 4, 5, 6))
 STAMPS = st.integers(0, 2**31 * 10**9 - 1)
@@ -23,7 +25,7 @@ def make_chunk(
 ) -> TrajectoryChunk:
     q, v, a = np.random.default_rng(seed).standard_normal((3, samples, len(joint_names)))
     times = np.arange(samples, dtype=np.int64) * 4_000_000
-    return TrajectoryChunk(stamp_ns, joint_names, times, q, v, a)
+    return TrajectoryChunk(stamp_ns, joint_names, times, JointTrajectory(q, v, a))
 
 
 def rosbags_bytes(chunk: TrajectoryChunk) -> bytes:
@@ -31,9 +33,9 @@ def rosbags_bytes(chunk: TrajectoryChunk) -> bytes:
     make = ros2_types.message_class
     points = [
         make("trajectory_msgs/msg/JointTrajectoryPoint")(
-            positions=chunk.q[i].copy(),
-            velocities=chunk.v[i].copy(),
-            accelerations=chunk.a[i].copy(),
+            positions=chunk.trajectory.q[i].copy(),
+            velocities=chunk.trajectory.v[i].copy(),
+            accelerations=chunk.trajectory.a[i].copy(),
             effort=np.zeros(0),
             time_from_start=make("builtin_interfaces/msg/Duration")(
                 sec=int(t) // 10**9, nanosec=int(t) % 10**9
@@ -64,8 +66,11 @@ def test_chunk_bytes_are_those_of_rosbags(samples, names, stamp_ns, seed):
     decoded = messages.decode_chunk(payload)
     assert decoded.stamp_ns == chunk.stamp_ns
     assert decoded.joint_names == chunk.joint_names
-    for name in ("time_from_start_ns", "q", "v", "a"):
-        np.testing.assert_array_equal(getattr(decoded, name), getattr(chunk, name))
+    np.testing.assert_array_equal(decoded.time_from_start_ns, chunk.time_from_start_ns)
+    for name in "qva":
+        np.testing.assert_array_equal(
+            getattr(decoded.trajectory, name), getattr(chunk.trajectory, name)
+        )
 
 
 def test_successive_chunks_do_not_share_memory():
@@ -74,7 +79,7 @@ def test_successive_chunks_do_not_share_memory():
     decoded = messages.decode_chunk(payload)
     messages.encode_chunk(make_chunk(5, seed=2))
     assert payload == rosbags_bytes(first)
-    np.testing.assert_array_equal(decoded.q, first.q)
+    np.testing.assert_array_equal(decoded.trajectory.q, first.trajectory.q)
 
 
 def test_chunk_from_another_node_with_effort_and_frame_is_read():
@@ -83,7 +88,7 @@ def test_chunk_from_another_node_with_effort_and_frame_is_read():
     message.header.frame_id = "base"
     message.points[1].effort = np.ones(7)
     payload = ros2_types.encode(message, topics.JOINT_TRAJECTORY)
-    np.testing.assert_array_equal(messages.decode_chunk(payload).v, chunk.v)
+    np.testing.assert_array_equal(messages.decode_chunk(payload).trajectory.v, chunk.trajectory.v)
 
 
 def test_big_endian_chunk_is_read_right_or_refused():
@@ -103,7 +108,7 @@ def test_chunk_with_a_point_that_lacks_accelerations_is_refused():
 
 def test_encoding_of_shapes_that_disagree_is_refused():
     chunk = make_chunk(4)
-    wrong = TrajectoryChunk(0, NAMES, chunk.time_from_start_ns, chunk.q[:3], chunk.v, chunk.a)
+    wrong = replace(chunk, trajectory=chunk.trajectory.part(slice(0, 3)))
     with pytest.raises(TransportError, match=r"\(4, 7\)"):
         messages.encode_chunk(wrong)
     with pytest.raises(TransportError, match="velocity"):
@@ -193,8 +198,8 @@ def test_truncated_messages_are_refused(kind):
 
 def test_nan_in_a_chunk_reaches_the_checks_that_refuse_it():
     chunk = make_chunk(3)
-    chunk.q[1, 2] = np.nan
-    assert np.isnan(messages.decode_chunk(messages.encode_chunk(chunk)).q[1, 2])
+    chunk.trajectory.q[1, 2] = np.nan
+    assert np.isnan(messages.decode_chunk(messages.encode_chunk(chunk)).trajectory.q[1, 2])
 
 
 @given(STAMPS, st.binary(max_size=40))

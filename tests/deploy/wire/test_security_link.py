@@ -19,7 +19,6 @@ from skewmi.cli.main import main
 from skewmi.deploy.motion.start_motion import StartMotion
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.recording.reader import read_recording
-from skewmi.deploy.robot.backend import GRID_NS
 from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.run import run_deploy
 from skewmi.deploy.wire import ros2_keys, topics
@@ -27,7 +26,6 @@ from skewmi.deploy.wire.access import Role
 from skewmi.deploy.wire.certificates import Authority, certificate_pem, key_pem
 from skewmi.deploy.wire.messages import (
     JointStates,
-    TrajectoryChunk,
     decode_joint_states,
     decode_status,
     encode_chunk,
@@ -38,6 +36,7 @@ from skewmi.errors import TransportError
 from skewmi.robot_models import limits as joint_limits
 from skewmi.robot_models import yumi
 from skewmi.sim.open_press_close.definition import make_layout
+from skewmi.trajectory import TrajectoryChunk
 
 LAB = joint_limits.profile("lab")
 STEP = 0.08 * np.array([1, -0.5, 0, 0.5, 0, 1, 0])
@@ -74,10 +73,9 @@ def motion_chunk(description: RobotDescription) -> bytes:
     """A good chunk from where the arm is commanded, due soon."""
     start = np.array(description.commanded_position)
     motion = StartMotion(start, start + STEP, LAB)
-    times = np.arange(len(motion.q), dtype=np.int64) * GRID_NS
     stamp_ns = description.clock_ns + 400_000_000
-    samples = (motion.q, motion.v, motion.a)
-    return encode_chunk(TrajectoryChunk(stamp_ns, description.joint_names, times, *samples))
+    chunk = TrajectoryChunk.of(stamp_ns, description.joint_names, motion.trajectory)
+    return encode_chunk(chunk)
 
 
 def server_counts(link: Link) -> tuple[int, int]:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from secured_link import robot_process
 
 from skewmi.deploy.motion.start_motion import StartMotion
-from skewmi.deploy.robot.backend import GRID_NS, fresh_tick
+from skewmi.deploy.robot.backend import fresh_tick
 from skewmi.deploy.robot.backends.mujoco.backend import SimTwin
 from skewmi.deploy.robot.controller import RobotController
 from skewmi.deploy.robot.description import RobotDescription
@@ -22,7 +22,6 @@ from skewmi.deploy.safety.validation import ChunkValidator, ValidationRules
 from skewmi.deploy.wire import ros2_keys, topics
 from skewmi.deploy.wire.messages import (
     JointStates,
-    TrajectoryChunk,
     decode_chunk,
     decode_joint_states,
     decode_status,
@@ -34,6 +33,7 @@ from skewmi.errors import CommandRefusedError
 from skewmi.policy_io import Array
 from skewmi.robot_models import limits as joint_limits
 from skewmi.robot_models import yumi
+from skewmi.trajectory import GRID_NS, TrajectoryChunk
 
 LAB = joint_limits.profile("lab")
 SIZE = 0.08 * np.array([1, -0.5, 0, 0.5, 0, 1, 0])
@@ -54,11 +54,9 @@ def chunks(start: Array, stamp_ns: int, names: tuple[str, ...], back: bool = Fal
     """A motion as the session streams it: a chunk every 20 ms, each with its own braking tail."""
     motion = StartMotion(start, start + (-SIZE if back else SIZE), LAB)
     payloads = []
-    for cycle in range(len(motion.q) // 5):
-        part = motion.chunk(cycle)
-        times = np.arange(len(part.q), dtype=np.int64) * GRID_NS
+    for cycle in range(len(motion.trajectory) // 5):
         stamp = stamp_ns + 5 * cycle * GRID_NS
-        payloads.append(encode_chunk(TrajectoryChunk(stamp, names, times, part.q, part.v, part.a)))
+        payloads.append(encode_chunk(TrajectoryChunk.of(stamp, names, motion.chunk(cycle))))
     return payloads
 
 
@@ -226,10 +224,9 @@ def test_bytes_put_again_over_the_wire_are_refused_with_the_reason() -> None:
             before = describe(link)
             start = np.array(before.commanded_position)
             motion = StartMotion(start, start + SIZE, LAB)
-            times = np.arange(len(motion.q), dtype=np.int64) * GRID_NS
-            samples = (motion.q, motion.v, motion.a)
             stamp_ns = before.clock_ns + 400_000_000  # a busy machine may be late
-            first = encode_chunk(TrajectoryChunk(stamp_ns, before.joint_names, times, *samples))
+            chunk = TrajectoryChunk.of(stamp_ns, before.joint_names, motion.trajectory)
+            first = encode_chunk(chunk)
             publisher.put(first)
             names = yumi.finger_names("right")[:1]
             fingers = JointStates(

@@ -20,12 +20,10 @@ import pytest
 import xxhash
 import zenoh
 
-from skewmi.deploy.robot.backend import GRID_NS
 from skewmi.deploy.safety.validation import ValidationRules
 from skewmi.deploy.wire import ros2_keys, ros2_types, topics
 from skewmi.deploy.wire.channels import Request
 from skewmi.deploy.wire.messages import (
-    TrajectoryChunk,
     TriggerReply,
     encode_chunk,
     encode_trigger_request,
@@ -42,6 +40,7 @@ from skewmi.deploy.wire.topics import (
 from skewmi.deploy.wire.transport import MAX_MESSAGE_BYTES, Link, TransportConfig
 from skewmi.errors import CommandRefusedError, ConfigurationError, TransportError
 from skewmi.robot_models import yumi
+from skewmi.trajectory import GRID_NS, JointTrajectory, TrajectoryChunk
 
 PEER = """
 import sys, time
@@ -321,9 +320,8 @@ def test_longest_messages_pass_and_longer_ones_do_not(locator, lock_step):
     """The server puts no message of more than 256 KiB together; what it sends has no bound."""
     count = ValidationRules(joint_names=yumi.joint_names("right"), grid_ns=GRID_NS).max_points
     numbers = np.random.default_rng(0).normal(size=(count, 7))
-    times = np.arange(count, dtype=np.int64) * GRID_NS
-    chunk = TrajectoryChunk(0, yumi.joint_names("right"), times, numbers, numbers, numbers)
-    longest = encode_chunk(chunk)
+    samples = JointTrajectory(numbers, numbers, numbers)
+    longest = encode_chunk(TrajectoryChunk.of(0, yumi.joint_names("right"), samples))
     assert 0.3 * MAX_MESSAGE_BYTES < len(longest) < 0.5 * MAX_MESSAGE_BYTES
     scene = 500_000 * "x"
     # A stranger with Zenoh's own settings, who would use shared memory, too.
@@ -527,7 +525,6 @@ def test_process_that_forgets_to_close_still_ends(locator):
     code = f"""
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.messages import (
-    TrajectoryChunk,
     TriggerReply,
     encode_chunk,
     encode_trigger_request,

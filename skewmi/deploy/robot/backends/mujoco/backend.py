@@ -10,9 +10,8 @@ import mujoco
 import numpy as np
 
 from skewmi.deploy.recording.scene_geometry import SceneGeometry
-from skewmi.deploy.robot.backend import GRID_NS, BackendFaultError, Measurement
+from skewmi.deploy.robot.backend import BackendFaultError, Measurement
 from skewmi.deploy.robot.backends.mujoco.contact_meter import ContactMeter
-from skewmi.deploy.robot.executor import PlanPoint
 from skewmi.errors import CommandRefusedError, ConfigurationError, NotFoundError
 from skewmi.policy_io import Array, PolicyLayout
 from skewmi.robot_models import yumi
@@ -30,6 +29,7 @@ from skewmi.sim.open_press_close.twin_fields import (
     random_stream,
 )
 from skewmi.sim.twin import TwinSample, resolve
+from skewmi.trajectory import GRID_S, JointPoint
 
 SCENE_JOINTS = ("lid_hinge", "button_slide")
 """Names in the scene states: lid angle (rad), button depth (m)."""
@@ -81,12 +81,11 @@ class SimTwin:
         self.scene = OpenPressCloseScene()
         self.scene_json = SceneGeometry.from_model(self.scene.model).to_json()
         self._data = mujoco.MjData(self.scene.model)
-        grid_dt = GRID_NS / 1e9
-        self._substeps = round(grid_dt / self.scene.model.opt.timestep)
-        if abs(self._substeps * self.scene.model.opt.timestep - grid_dt) > 1e-12:
+        self._substeps = round(GRID_S / self.scene.model.opt.timestep)
+        if abs(self._substeps * self.scene.model.opt.timestep - GRID_S) > 1e-12:
             raise ConfigurationError(
                 f"the scene's time step {self.scene.model.opt.timestep} s does not divide the "
-                f"robot server's grid of {grid_dt} s"
+                f"robot server's grid of {GRID_S} s"
             )
         self._names = (*self.joint_names, yumi.finger_names("right")[0])
         lid, button = (self.scene.model.joint(name) for name in SCENE_JOINTS)
@@ -138,7 +137,7 @@ class SimTwin:
             scene_velocity=data.qvel[self._scene_dof],
         )
 
-    def step(self, target: PlanPoint) -> None:
+    def step(self, target: JointPoint) -> None:
         """Follow the servo target `target.q`, with `target.v` as feed-forward, for 4 ms.
 
         Raises:

@@ -8,8 +8,8 @@ from collections import deque
 import numpy as np
 
 from skewmi.contact import STANDING_S
-from skewmi.deploy.robot.backend import GRID_NS
 from skewmi.policy_io import Array
+from skewmi.trajectory import GRID_NS
 
 _WINDOW = round(STANDING_S * 1e9 / GRID_NS)
 

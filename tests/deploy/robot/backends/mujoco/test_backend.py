@@ -7,9 +7,9 @@ import pytest
 
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.robot.backends.mujoco.backend import SimTwin
-from skewmi.deploy.robot.executor import PlanPoint
 from skewmi.errors import ConfigurationError
 from skewmi.sim.open_press_close.task import OpenPressCloseBatch
+from skewmi.trajectory import JointPoint
 
 
 def move(robot: SimTwin, ticks: int, seed: int = 0) -> np.ndarray:
@@ -20,7 +20,7 @@ def move(robot: SimTwin, ticks: int, seed: int = 0) -> np.ndarray:
         t = 0.004 * (tick + 1)
         q, v = q0.copy(), np.zeros(7)
         q[4], v[4] = q0[4] + t**2, 2 * t
-        robot.step(PlanPoint(q, v, np.zeros(7)))
+        robot.step(JointPoint(q, v, np.zeros(7)))
         measured.append(robot.measure().position[:7])
     return np.array(measured)
 
@@ -78,7 +78,7 @@ def test_the_gripper_is_off_by_its_error_before_and_after_a_command() -> None:
             if opening is not None:
                 each.open_gripper(opening)
             for _ in range(150):
-                each.step(PlanPoint(q, np.zeros(7), np.zeros(7)))
+                each.step(JointPoint(q, np.zeros(7), np.zeros(7)))
             gaps.append(each.measure().position[7])
         assert gaps[0] - gaps[1] == pytest.approx(0.002, abs=1e-4)
 

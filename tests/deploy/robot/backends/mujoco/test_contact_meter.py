@@ -13,7 +13,7 @@ from skewmi.contact import QUANTITIES
 from skewmi.deploy.report import DeployReport, EpisodeReport
 from skewmi.deploy.robot.backends.mujoco.backend import SimTwin
 from skewmi.deploy.robot.backends.mujoco.contact_meter import ContactMeter
-from skewmi.deploy.robot.executor import PlanPoint
+from skewmi.trajectory import JointPoint
 
 LOW, HIGH = np.array([-0.1, -0.2, 0.0]), np.array([0.1, 0.2, 0.3])
 HELD = np.diag([1.0, -1.0, -1.0])
@@ -69,7 +69,7 @@ def test_a_hand_that_leans_on_the_shut_lid_is_felt_and_a_free_one_is_not() -> No
     rest = np.zeros(7)
     assert robot.contact() == {}
     for _ in range(25):
-        robot.step(PlanPoint(q0, rest, rest))
+        robot.step(JointPoint(q0, rest, rest))
     free = robot.contact()
     assert free["hand_force_peak_n"] == free["arm_force_peak_n"] == 0.0
     assert free["outside_box_mm"] < 0.1
@@ -83,7 +83,7 @@ def test_a_hand_that_leans_on_the_shut_lid_is_felt_and_a_free_one_is_not() -> No
     for tick in range(750):
         share = min(1.0, tick / 500)
         speed = (goal - q0) / 2.0 if share < 1.0 else rest
-        robot.step(PlanPoint(q0 + share * (goal - q0), speed, rest))
+        robot.step(JointPoint(q0 + share * (goal - q0), speed, rest))
         felt[25 + tick] = np.linalg.norm(robot._data.sensordata[robot.scene.hand_force])
     leaning = robot.contact()
     assert leaning["hand_force_peak_n"] == pytest.approx(felt.max())
