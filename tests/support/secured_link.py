@@ -14,13 +14,8 @@ from typing import Any
 
 from skewmi.deploy.robot.process import free_port
 from skewmi.deploy.wire.access import CONFIG_FILE, Role
-from skewmi.deploy.wire.certificates import (
-    Authority,
-    CertificatePlan,
-    certificate_pem,
-    key_pem,
-    write_roles,
-)
+from skewmi.deploy.wire.authority import Authority, certificate_pem, key_pem
+from skewmi.deploy.wire.certificates import CertificatePlan, write_roles
 from skewmi.deploy.wire.transport import TransportConfig
 
 DAY = datetime.timedelta(days=1)

@@ -23,7 +23,7 @@ from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.run import run_deploy
 from skewmi.deploy.wire import ros2_keys, topics
 from skewmi.deploy.wire.access import Role
-from skewmi.deploy.wire.certificates import Authority, certificate_pem, key_pem
+from skewmi.deploy.wire.authority import Authority, certificate_pem, key_pem
 from skewmi.deploy.wire.messages import (
     JointStates,
     decode_joint_states,

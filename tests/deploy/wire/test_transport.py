@@ -37,7 +37,8 @@ from skewmi.deploy.wire.topics import (
     YUMI_STOP,
     YUMI_TRAJECTORY,
 )
-from skewmi.deploy.wire.transport import MAX_MESSAGE_BYTES, Link, TransportConfig
+from skewmi.deploy.wire.transport import Link, TransportConfig
+from skewmi.deploy.wire.transport_config import MAX_MESSAGE_BYTES
 from skewmi.errors import CommandRefusedError, ConfigurationError, TransportError
 from skewmi.robot_models import yumi
 from skewmi.trajectory import GRID_NS, JointTrajectory, TrajectoryChunk
