@@ -17,19 +17,29 @@ from skewmi.deploy.wire import ros2_keys
 
 
 class Graph:
-    """Tokens alive in one ROS 2 domain. Thread-safe."""
+    """Tokens alive in one ROS 2 domain. Thread-safe.
 
-    def __init__(self, session: Any, domain: int) -> None:
+    Args:
+        subscriber: A Zenoh subscriber to the domain's tokens, past ones included, as `watch` makes.
+    """
+
+    def __init__(self, subscriber: Any) -> None:
         self._lock = threading.Lock()
         self._session_of: dict[bytes, str] = {}
         self._tokens: set[str] = set()
+        self._subscriber = subscriber
+
+    @staticmethod
+    def watch(session: Any, domain: int) -> Graph:
+        """Listen to the tokens of a domain on an open Zenoh session."""
         # A channel drained on demand, not a callback: Zenoh runs callbacks in a thread that
         # keeps the interpreter from exiting while the session is open.
-        self._subscriber = session.liveliness().declare_subscriber(
+        subscriber = session.liveliness().declare_subscriber(
             f"{ros2_keys.ADMIN_SPACE}/{domain}/**",
             zenoh.handlers.RingChannel(10_000),
             history=True,
         )
+        return Graph(subscriber)
 
     def session_of(self, entity_gid: bytes) -> str | None:
         """Zenoh id of the session an entity lives in; None if it is not (or no longer) there."""

@@ -45,19 +45,34 @@ __all__ = ["LatestReader", "Link", "Publisher", "Sample", "TransportConfig"]
 
 
 class Link:
-    """One Zenoh session seen as one ROS 2 node; a context manager that closes it."""
+    """One Zenoh session seen as one ROS 2 node; a context manager that closes it.
 
-    def __init__(self, session: Any, config: TransportConfig, node_name: str) -> None:
+    `Link.open` makes one.
+
+    Args:
+        session: An open Zenoh session.
+        config: What it was opened with.
+        node: How the session is known in ROS 2.
+        node_token: The declared liveliness token of the node.
+        graph: Who else is on the link.
+    """
+
+    def __init__(
+        self,
+        session: Any,
+        config: TransportConfig,
+        node: ros2_keys.Node,
+        node_token: Any,
+        graph: Graph,
+    ) -> None:
         self._session = session
         self._config = config
-        self._node = ros2_keys.Node(config.domain, str(session.zid()), node_name)
+        self._node = node
         self._entities = 0
         self._declared: list[Any] = []
         self._clients: dict[str, tuple[bytes, int]] = {}
-        self._tokens: list[Any] = [
-            session.liveliness().declare_token(ros2_keys.node_token(self._node))
-        ]
-        self.graph = Graph(session, config.domain)
+        self._tokens: list[Any] = [node_token]
+        self.graph = graph
 
     @staticmethod
     def open(config: TransportConfig, node_name: str) -> Link:
@@ -76,7 +91,9 @@ class Link:
             session = zenoh.open(zenoh_config)
         except zenoh.ZError as error:
             raise _explain(error, config, zenoh_config) from error
-        return Link(session, config, node_name)
+        node = ros2_keys.Node(config.domain, str(session.zid()), node_name)
+        node_token = session.liveliness().declare_token(ros2_keys.node_token(node))
+        return Link(session, config, node, node_token, Graph.watch(session, config.domain))
 
     @property
     def session_id(self) -> str:
