@@ -27,8 +27,9 @@ from skewmi.cli.interrupt import signals_to_handle
 from skewmi.cli.policies import twin_option
 from skewmi.contact import QUANTITIES
 from skewmi.deploy import run as deploy_run
-from skewmi.deploy.options import DeployOptions, LiveOptions
+from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.policy import OnnxPolicy
+from skewmi.deploy.replay.live_options import LiveOptions
 from skewmi.deploy.report import DeployReport
 from skewmi.errors import ConfigurationError
 

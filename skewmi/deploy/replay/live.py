@@ -16,8 +16,8 @@ from collections.abc import Mapping
 from types import TracebackType
 from typing import Self
 
-from skewmi.deploy.options import LiveOptions
 from skewmi.deploy.recording.listener_process import ListenerProcess, ListenerStartError
+from skewmi.deploy.replay.live_options import LiveOptions
 from skewmi.deploy.wire.transport import TransportConfig
 from skewmi.errors import ConfigurationError
 

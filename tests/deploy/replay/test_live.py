@@ -20,12 +20,13 @@ from scripted_open_press_close import ScriptedOpenPressClose
 
 from skewmi.cli.main import main
 from skewmi.deploy import run as deploy_run
-from skewmi.deploy.options import DeployOptions, LiveOptions
+from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.recording.reader import read_recording
 from skewmi.deploy.replay import viewer
 from skewmi.deploy.replay.assembler import RunAssembler, understand
 from skewmi.deploy.replay.data import Run, Subject
 from skewmi.deploy.replay.live import LiveView
+from skewmi.deploy.replay.live_options import LiveOptions
 from skewmi.deploy.replay.replay import write_replay
 from skewmi.deploy.report import DeployReport
 from skewmi.deploy.robot.process import free_port
