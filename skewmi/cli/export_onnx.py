@@ -131,7 +131,7 @@ def robot_metadata(env: BatchEnv) -> dict[str, Any]:
         return {"robot": None, "robot_model_hash": None, "limits": None}
     from skewmi.robot_models import yumi
     from skewmi.robot_models.kinematics import ArmKinematics
-    from skewmi.sim.open_press_close.task import OpenPressCloseBatch
+    from skewmi.sim.arm.batch import OpenPressCloseBatch
 
     # The only task with an arm so far; what its servos may do is the scene's business.
     assert isinstance(env, OpenPressCloseBatch)

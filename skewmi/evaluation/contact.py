@@ -19,7 +19,7 @@ from skewmi.errors import ConfigurationError
 from skewmi.policy_io import Array, PolicyLayout
 
 if TYPE_CHECKING:
-    from skewmi.sim.open_press_close.diagnostics import Diagnostics
+    from skewmi.sim.arm.diagnostics import Diagnostics
 
 
 @runtime_checkable

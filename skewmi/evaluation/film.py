@@ -114,7 +114,7 @@ def draw(
     import mujoco
 
     from skewmi.robot_models import yumi
-    from skewmi.sim.open_press_close.scene import OpenPressCloseScene
+    from skewmi.sim.arm.scene import OpenPressCloseScene
 
     model = OpenPressCloseScene().model
     data = mujoco.MjData(model)

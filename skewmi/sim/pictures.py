@@ -9,12 +9,12 @@ import mujoco
 from skewmi.batch_env import BatchEnv
 from skewmi.errors import ConfigurationError
 from skewmi.sim.offscreen import Image
-from skewmi.sim.point_maze.scene import MazePicture
-from skewmi.sim.point_maze.task import PointMazeBatch
 from skewmi.sim.rendering import Renderer
+from skewmi.sim.tasks.point_maze.scene import MazePicture
+from skewmi.sim.tasks.point_maze.task import PointMazeBatch
 
 if TYPE_CHECKING:
-    from skewmi.sim.open_press_close.task import OpenPressCloseBatch
+    from skewmi.sim.arm.batch import OpenPressCloseBatch
 
 
 class Camera(Protocol):
@@ -41,7 +41,7 @@ def make_camera(env: BatchEnv, width: int, height: int) -> Camera:
     if isinstance(env, PointMazeBatch):
         return MazeCamera(env, width, height)
     # Imported here, so that the maze is drawn without loading the robot.
-    from skewmi.sim.open_press_close.task import OpenPressCloseBatch
+    from skewmi.sim.arm.batch import OpenPressCloseBatch
 
     if isinstance(env, OpenPressCloseBatch):
         return BoxCamera(env, width, height)

@@ -16,7 +16,7 @@ from skewmi.cli.main import main
 from skewmi.deploy.policy import OnnxPolicy
 from skewmi.robot_models import yumi
 from skewmi.sim import tasks
-from skewmi.sim.open_press_close.task import OpenPressCloseBatch
+from skewmi.sim.arm.batch import OpenPressCloseBatch
 from skewmi.train.checkpoint import load_policy
 
 

@@ -36,7 +36,7 @@ from skewmi.errors import ConfigurationError, LayoutMismatchError, TransportErro
 from skewmi.policy_io import Array
 from skewmi.robot_models import limits as joint_limits
 from skewmi.robot_models.kinematics import ArmKinematics
-from skewmi.sim.open_press_close.definition import make_layout
+from skewmi.sim.tasks.open_press_close.definition import make_layout
 from skewmi.trajectory import GRID_NS, TrajectoryChunk
 
 LAB = joint_limits.profile("lab")
@@ -289,7 +289,7 @@ sys.path.insert(0, sys.argv[2])
 from scripted_open_press_close import ScriptedOpenPressClose
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.run import run_deploy
-from skewmi.sim.open_press_close.definition import make_layout
+from skewmi.sim.tasks.open_press_close.definition import make_layout
 print("ready", flush=True)
 run_deploy(ScriptedOpenPressClose(make_layout()), DeployOptions(connect=sys.argv[1]))
 """

@@ -22,7 +22,7 @@ from skewmi.evaluation.contact import (
 from skewmi.evaluation.rollout import run_episodes
 from skewmi.policy_io import Array, PolicyLayout
 from skewmi.sim import tasks
-from skewmi.sim.open_press_close.task import make_batch
+from skewmi.sim.arm.batch import make_batch
 
 NAMES = list(QUANTITIES)
 LIMITS = np.array([q.limit if q.limit is not None else np.inf for q in QUANTITIES.values()])

@@ -9,11 +9,11 @@ import pytest
 from skewmi.errors import ConfigurationError, KinematicsError
 from skewmi.policy_io import inside_region
 from skewmi.robot_models import frames, kinematics
-from skewmi.sim.open_press_close import definition, parts
-from skewmi.sim.open_press_close.randomization import Randomization
-from skewmi.sim.open_press_close.reach import HAND_MARGIN, reachable
-from skewmi.sim.open_press_close.scene import OpenPressCloseScene, workspace_of
-from skewmi.sim.open_press_close.task import OpenPressCloseBatch
+from skewmi.sim.arm.batch import OpenPressCloseBatch
+from skewmi.sim.arm.randomization import Randomization
+from skewmi.sim.arm.reach import HAND_MARGIN, reachable
+from skewmi.sim.arm.scene import OpenPressCloseScene, workspace_of
+from skewmi.sim.tasks.open_press_close import definition, parts
 
 LAYOUT = definition.make_layout()
 WORKSPACE = workspace_of(LAYOUT)

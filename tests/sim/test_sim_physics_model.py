@@ -5,8 +5,8 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from skewmi.sim.open_press_close.scene import OpenPressCloseScene
-from skewmi.sim.open_press_close.task import OpenPressCloseBatch
+from skewmi.sim.arm.batch import OpenPressCloseBatch
+from skewmi.sim.arm.scene import OpenPressCloseScene
 
 
 def test_leaving_out_visual_geoms_changes_nothing() -> None:

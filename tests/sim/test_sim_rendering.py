@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from skewmi.errors import ConfigurationError, NotFoundError
-from skewmi.sim.open_press_close.scene import OpenPressCloseScene
+from skewmi.sim.arm.scene import OpenPressCloseScene
 from skewmi.sim.rendering import Renderer, contact_sheet, label, write_film, write_picture
 
 RED = np.full((30, 40, 3), (200, 0, 0), dtype=np.uint8)

@@ -7,7 +7,7 @@ import pytest
 from scripted_open_press_close import ScriptedOpenPressClose
 
 from skewmi.policy_io import first_success_step
-from skewmi.sim.open_press_close.task import OpenPressCloseBatch
+from skewmi.sim.arm.batch import OpenPressCloseBatch
 
 NUM_ENVS = 6
 

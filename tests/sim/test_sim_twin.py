@@ -13,7 +13,7 @@ from scripted_open_press_close import ScriptedOpenPressClose
 from skewmi.errors import ConfigurationError
 from skewmi.policy_io import first_success_step
 from skewmi.sim import tasks
-from skewmi.sim.open_press_close.task import OpenPressCloseBatch
+from skewmi.sim.arm.batch import OpenPressCloseBatch
 from skewmi.sim.twin import KEYS, Twin
 
 N = 3

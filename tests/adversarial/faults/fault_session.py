@@ -24,7 +24,7 @@ from fault_plants import PLANTS, Planted
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.run import run_deploy
 from skewmi.policy_io import Array
-from skewmi.sim.open_press_close.definition import make_layout
+from skewmi.sim.tasks.open_press_close.definition import make_layout
 
 SEED = 33
 """Of a long start motion: 0.3 s."""

@@ -15,7 +15,7 @@ from skewmi.policy_io import Array
 from skewmi.robot_models import limits as joint_limits
 from skewmi.robot_models.frames import rotation_from_quaternion
 from skewmi.robot_models.kinematics import ArmKinematics
-from skewmi.sim.open_press_close.definition import make_layout
+from skewmi.sim.tasks.open_press_close.definition import make_layout
 from skewmi.trajectory import JointPoint, JointTrajectory
 
 WORKSPACE = make_layout().workspace

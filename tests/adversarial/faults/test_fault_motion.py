@@ -9,7 +9,7 @@ from fault_motion import ACCELERATION, JERK, VELOCITY, Motion, assert_safe, shar
 from fault_robot import STEP
 
 from skewmi.policy_io import Array
-from skewmi.sim.open_press_close.definition import make_layout
+from skewmi.sim.tasks.open_press_close.definition import make_layout
 
 WORKSPACE = make_layout().workspace
 assert WORKSPACE is not None

@@ -32,7 +32,7 @@ from skewmi.deploy.report import DeployReport
 from skewmi.deploy.robot.process import free_port
 from skewmi.errors import ConfigurationError
 from skewmi.policy_io import Array
-from skewmi.sim.open_press_close.definition import make_layout
+from skewmi.sim.tasks.open_press_close.definition import make_layout
 
 
 class Scripted(ScriptedOpenPressClose):

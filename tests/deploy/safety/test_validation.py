@@ -20,7 +20,7 @@ from skewmi.deploy.safety.validation import (
 from skewmi.errors import CommandRefusedError
 from skewmi.robot_models import limits as joint_limits
 from skewmi.robot_models import yumi
-from skewmi.sim.open_press_close.definition import make_layout
+from skewmi.sim.tasks.open_press_close.definition import make_layout
 from skewmi.trajectory import GRID_NS, JointTrajectory, TrajectoryChunk
 
 LAB = joint_limits.profile("lab")

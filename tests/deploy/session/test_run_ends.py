@@ -41,7 +41,7 @@ from skewmi.deploy.wire.transport import Link, TransportConfig
 from skewmi.errors import ConfigurationError, SkewmiError
 from skewmi.policy_io import Array
 from skewmi.robot_models import limits as joint_limits
-from skewmi.sim.open_press_close.definition import make_layout
+from skewmi.sim.tasks.open_press_close.definition import make_layout
 
 
 class FewSteps(ScriptedOpenPressClose):

@@ -48,7 +48,7 @@ from skewmi.policy_io import Array, PolicyLayout
 from skewmi.robot_models import limits as joint_limits
 from skewmi.robot_models import yumi
 from skewmi.robot_models.kinematics import ArmKinematics
-from skewmi.sim.open_press_close.definition import make_layout
+from skewmi.sim.tasks.open_press_close.definition import make_layout
 from skewmi.trajectory import CYCLE_NS, GRID_NS, JointTrajectory
 
 LAB = joint_limits.profile("lab")

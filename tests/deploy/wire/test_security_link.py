@@ -35,7 +35,7 @@ from skewmi.deploy.wire.transport import Link, TransportConfig
 from skewmi.errors import TransportError
 from skewmi.robot_models import limits as joint_limits
 from skewmi.robot_models import yumi
-from skewmi.sim.open_press_close.definition import make_layout
+from skewmi.sim.tasks.open_press_close.definition import make_layout
 from skewmi.trajectory import TrajectoryChunk
 
 LAB = joint_limits.profile("lab")

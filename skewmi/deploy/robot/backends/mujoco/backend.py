@@ -15,19 +15,19 @@ from skewmi.deploy.robot.backends.mujoco.contact_meter import ContactMeter
 from skewmi.errors import CommandRefusedError, ConfigurationError, NotFoundError
 from skewmi.policy_io import Array, PolicyLayout
 from skewmi.robot_models import yumi
-from skewmi.sim.open_press_close.definition import FINGER_MAX, make_layout
-from skewmi.sim.open_press_close.scene import (
-    OpenPressCloseScene,
-    hand_rotation,
-    workspace_of,
-)
-from skewmi.sim.open_press_close.twin_fields import (
+from skewmi.sim.arm.model_fields import (
     SensorErrors,
     delay_substeps,
     model_fields,
     needs_set_const,
     random_stream,
 )
+from skewmi.sim.arm.scene import (
+    OpenPressCloseScene,
+    hand_rotation,
+    workspace_of,
+)
+from skewmi.sim.tasks.open_press_close.definition import FINGER_MAX, make_layout
 from skewmi.sim.twin import TwinSample, resolve
 from skewmi.trajectory import GRID_S, JointPoint
 

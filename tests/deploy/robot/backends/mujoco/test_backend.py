@@ -8,7 +8,7 @@ import pytest
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.robot.backends.mujoco.backend import SimTwin
 from skewmi.errors import ConfigurationError
-from skewmi.sim.open_press_close.task import OpenPressCloseBatch
+from skewmi.sim.arm.batch import OpenPressCloseBatch
 from skewmi.trajectory import JointPoint
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from skewmi.errors import ConfigurationError
 from skewmi.policy_io import Array
 from skewmi.sim.offscreen import Image, make_renderer
-from skewmi.sim.point_maze import maze
+from skewmi.sim.tasks.point_maze import maze
 
 POINT_RADIUS = 1e-5
 """Radius of the colliding sphere, m: MuJoCo has no points."""

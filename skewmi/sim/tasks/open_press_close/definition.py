@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from skewmi.policy_io import TIME_FIELD, ActionField, Ball, Field, PolicyLayout, Workspace
 from skewmi.robot_models import frames, yumi
-from skewmi.sim.open_press_close import parts
+from skewmi.sim.tasks.open_press_close import parts
 
 SIM_DT = 0.004
 """Time step of the physics, s: the grid of the robot's own command interface."""

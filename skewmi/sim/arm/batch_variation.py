@@ -9,9 +9,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from skewmi.policy_io import Array
-from skewmi.sim.open_press_close.definition import SUBSTEPS
-from skewmi.sim.open_press_close.scene import OpenPressCloseScene
-from skewmi.sim.open_press_close.twin_fields import (
+from skewmi.sim.arm.model_fields import (
     SENSOR_KEYS,
     SensorErrors,
     delay_substeps,
@@ -19,6 +17,8 @@ from skewmi.sim.open_press_close.twin_fields import (
     needs_set_const,
     random_stream,
 )
+from skewmi.sim.arm.scene import OpenPressCloseScene
+from skewmi.sim.tasks.open_press_close.definition import SUBSTEPS
 from skewmi.sim.twin import Twin, TwinSample
 
 

@@ -12,9 +12,9 @@ import numpy as np
 
 from skewmi.policy_io import Array, PolicyLayout, Workspace
 from skewmi.robot_models import frames, kinematics, mjcf, servo, yumi
-from skewmi.sim.open_press_close import parts
-from skewmi.sim.open_press_close.definition import SIM_DT, make_layout
-from skewmi.sim.open_press_close.randomization import Randomization
+from skewmi.sim.arm.randomization import Randomization
+from skewmi.sim.tasks.open_press_close import parts
+from skewmi.sim.tasks.open_press_close.definition import SIM_DT, make_layout
 
 _KP = np.array([300.0, 300.0, 200.0, 200.0, 600.0, 600.0, 300.0])
 SERVO = servo.DEFAULT.with_changes(

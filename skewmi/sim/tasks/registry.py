@@ -16,8 +16,8 @@ from skewmi.errors import ConfigurationError, NotFoundError
 from skewmi.policy_io import PolicyLayout
 
 _MODULES = {
-    "open_press_close": "skewmi.sim.open_press_close.task",
-    "point_maze": "skewmi.sim.point_maze.task",
+    "open_press_close": "skewmi.sim.arm.batch",
+    "point_maze": "skewmi.sim.tasks.point_maze.task",
 }
 
 TASKS = tuple(_MODULES)

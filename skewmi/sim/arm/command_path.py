@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from skewmi.hand_command import integrate_command, remembered_stall, stalled
 from skewmi.policy_io import Array, PolicyLayout
-from skewmi.sim.open_press_close import definition
-from skewmi.sim.open_press_close.scene import OpenPressCloseScene, workspace_of
+from skewmi.sim.arm.scene import OpenPressCloseScene, workspace_of
+from skewmi.sim.tasks.open_press_close import definition
 
 
 class CommandPath:

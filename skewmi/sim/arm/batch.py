@@ -21,18 +21,19 @@ from skewmi.policy_io import (
     inside_region,
 )
 from skewmi.robot_models import servo
-from skewmi.sim.checks import checked_action, checked_num_envs
-from skewmi.sim.open_press_close import definition, reach
-from skewmi.sim.open_press_close.batch_twin import BatchTwin
-from skewmi.sim.open_press_close.command_path import CommandPath
-from skewmi.sim.open_press_close.diagnostics import Diagnostics
-from skewmi.sim.open_press_close.randomization import Randomization
-from skewmi.sim.open_press_close.scene import (
+from skewmi.sim.arm import reach
+from skewmi.sim.arm.batch_variation import BatchTwin
+from skewmi.sim.arm.command_path import CommandPath
+from skewmi.sim.arm.diagnostics import Diagnostics
+from skewmi.sim.arm.randomization import Randomization
+from skewmi.sim.arm.scene import (
     SERVO,
     OpenPressCloseScene,
     hand_rotation,
     workspace_of,
 )
+from skewmi.sim.checks import checked_action, checked_num_envs
+from skewmi.sim.tasks.open_press_close import definition
 from skewmi.sim.twin import Twin, TwinSample, resolve
 
 layout = definition.make_layout

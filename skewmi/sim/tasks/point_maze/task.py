@@ -12,7 +12,7 @@ from skewmi.batch_env import StepResult
 from skewmi.errors import ConfigurationError
 from skewmi.policy_io import TIME_FIELD, Array, PolicyLayout, assemble_observation, inside_region
 from skewmi.sim.checks import checked_action, checked_num_envs
-from skewmi.sim.point_maze import maze
+from skewmi.sim.tasks.point_maze import maze
 
 layout = maze.layout
 

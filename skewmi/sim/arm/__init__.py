@@ -1,0 +1,1 @@
+"""Everything generic about an arm with a scene in front of it."""
