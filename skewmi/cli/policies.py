@@ -13,7 +13,7 @@ from skewmi import policies
 from skewmi.batch_env import BatchEnv
 from skewmi.errors import ConfigurationError, NotFoundError
 from skewmi.policy_io import Policy, PolicyLayout
-from skewmi.sim import twin as twins
+from skewmi.sim import variation as twins
 
 if TYPE_CHECKING:
     from skewmi.train.policy import TorchPolicy

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from skewmi.cli.main import main
-from skewmi.sim.twin import Twin
+from skewmi.sim.variation import Twin
 from skewmi.train.checkpoint import load_policy, read_run_header
 
 OPC = ["--task", "open_press_close"]

@@ -34,7 +34,7 @@ from skewmi.sim.arm.scene import (
 )
 from skewmi.sim.checks import checked_action, checked_num_envs
 from skewmi.sim.tasks.open_press_close import definition
-from skewmi.sim.twin import Twin, TwinSample, resolve
+from skewmi.sim.variation import Twin, TwinSample, resolve
 
 layout = definition.make_layout
 

@@ -19,7 +19,7 @@ from skewmi.sim.arm.model_fields import (
 )
 from skewmi.sim.arm.scene import OpenPressCloseScene
 from skewmi.sim.tasks.open_press_close.definition import SUBSTEPS
-from skewmi.sim.twin import Twin, TwinSample
+from skewmi.sim.variation import Twin, TwinSample
 
 
 class BatchTwin:

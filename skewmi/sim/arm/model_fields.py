@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from skewmi.policy_io import Array
 from skewmi.robot_models import yumi
 from skewmi.sim.tasks.open_press_close.definition import SIM_DT
-from skewmi.sim.twin import Twin, TwinSample
+from skewmi.sim.variation import Twin, TwinSample
 
 _NEEDS_SET_CONST = {"body_mass", "body_inertia", "body_pos", "body_quat", "dof_armature"}
 """Fields that constants of the model are derived from."""

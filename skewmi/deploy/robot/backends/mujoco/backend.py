@@ -29,6 +29,7 @@ from skewmi.sim.arm.scene import (
 )
 from skewmi.sim.tasks.open_press_close.definition import FINGER_MAX, make_layout
 from skewmi.sim.twin import TwinSample, resolve
+from skewmi.sim.variation import TwinSample, resolve
 from skewmi.trajectory import GRID_S, JointPoint
 
 SCENE_JOINTS = ("lid_hinge", "button_slide")

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skewmi.errors import ConfigurationError, NotFoundError
-from skewmi.sim import twin as twins
-from skewmi.sim.twin import KEYS, Twin
+from skewmi.sim import variation as twins
+from skewmi.sim.variation import KEYS, Twin
 
 
 def _values(key: str) -> st.SearchStrategy:

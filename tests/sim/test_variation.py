@@ -14,7 +14,7 @@ from skewmi.errors import ConfigurationError
 from skewmi.policy_io import first_success_step
 from skewmi.sim import tasks
 from skewmi.sim.arm.batch import OpenPressCloseBatch
-from skewmi.sim.twin import KEYS, Twin
+from skewmi.sim.variation import KEYS, Twin
 
 N = 3
 

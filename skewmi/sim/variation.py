@@ -3,7 +3,7 @@
 A twin file is YAML. Every key is optional, and what is not given is nominal. A value is a number,
 or `[low, high]`: drawn uniformly for every simulation at every reset. Keys of the servos also take
 a list of seven such values, one a joint in chain order; one range for the whole arm is drawn for
-each joint by itself. `KEYS` lists everything; `docs/twin.md` explains it.
+each joint by itself. `KEYS` lists everything; `docs/variations.md` explains it.
 """
 
 from __future__ import annotations
@@ -120,7 +120,9 @@ class Twin:
             ConfigurationError: It is not YAML, or a key or value is not allowed.
         """
         if str(path) in bundled():
-            text = (resources.files("skewmi.sim") / "twins" / f"{path}.yaml").read_text("utf-8")
+            text = (resources.files("skewmi.sim") / "variations" / f"{path}.yaml").read_text(
+                "utf-8"
+            )
             return Twin.parse(text, f"the bundled twin {path}")
         try:
             text = Path(path).read_text(encoding="utf-8")
@@ -183,7 +185,7 @@ class Twin:
 
 def bundled() -> tuple[str, ...]:
     """Names of the twin files that come with the package."""
-    folder = resources.files("skewmi.sim") / "twins"
+    folder = resources.files("skewmi.sim") / "variations"
     names = (Path(entry.name) for entry in folder.iterdir())
     return tuple(sorted(name.stem for name in names if name.suffix == ".yaml"))
 
