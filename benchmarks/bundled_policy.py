@@ -2,7 +2,7 @@
 
     python benchmarks/bundled_policy.py --json
 
-Runs the commands a user would: `evaluate` on the nominal twin and under the documented
+Runs the commands a user would: `evaluate` on the nominal model and under the documented
 randomisation (with the distribution of contact forces), and `deploy` on the simulated robot over
 Zenoh, in lock-step and in real time. Takes about five minutes on two cores.
 """
@@ -73,12 +73,12 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         },
         "evaluate": {
             "nominal": run("evaluate", name, *many),
-            "randomised": run("evaluate", name, *many, "--twin", "randomised"),
+            "randomised": run("evaluate", name, *many, "--variation", "randomised"),
         },
         "deploy": {
             "lock_step": deploy(name, seed, options.deployed, "--lock-step"),
             "lock_step_randomised": deploy(
-                name, seed, options.deployed, "--lock-step", "--twin", "randomised"
+                name, seed, options.deployed, "--lock-step", "--variation", "randomised"
             ),
             "real_time": deploy(name, seed, options.real_time),
         },
@@ -88,8 +88,8 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
 def main() -> None:
     parser = argument_parser(__doc__)
     parser.add_argument("--policy", default="open_press_close", help="bundled name or file")
-    parser.add_argument("--episodes", type=int, default=500, help="evaluated, each twin")
-    parser.add_argument("--deployed", type=int, default=50, help="deployed in lock-step, each twin")
+    parser.add_argument("--episodes", type=int, default=500, help="evaluated, each model")
+    parser.add_argument("--deployed", type=int, default=50, help="in lock-step, each model")
     parser.add_argument("--real-time", type=int, default=5, help="deployed in real time")
     options = parser.parse_args()
     config = {key: getattr(options, key) for key in ("policy", "episodes", "deployed", "real_time")}

@@ -39,7 +39,9 @@ Array = NDArray[np.float64]
 
 def simulated(policy: OnnxPolicy, episodes: int, seed: int) -> list[Array]:
     """Observations up to success, an episode each. Shapes (steps, observation_dim)."""
-    options = {k: v for k, v in (policy.metadata.get("task_options") or {}).items() if k != "twin"}
+    trained_with = policy.metadata.get("task_options") or {}
+    switches = tasks.find(policy.layout.task).layout_switches
+    options = {name: value for name, value in trained_with.items() if name in switches}
     env = tasks.make_batch(policy.layout.task, episodes, num_threads=1, seed=seed, **options)
     run = run_episodes(policy, env, episodes, seed)
     ends = np.where(run.success, run.first_success_step, policy.layout.episode_steps)

@@ -194,7 +194,7 @@ def run(options: argparse.Namespace) -> dict[str, Any]:
     for name in options.tasks:
         figures[name] = {}
         for threads in options.threads:
-            if name == "point_maze":
+            if tasks.find(name).arm is None:
                 result = measure_plain_task(name, options.num_envs, threads, **common)
             else:
                 result = measure_physics_task(
@@ -223,7 +223,7 @@ def main() -> int:
     parser.add_argument("--episodes", type=int, default=3, help="episodes per thread count")
     parser.add_argument("--steps", type=int, default=200, help="control steps per episode")
     parser.add_argument("--block", type=int, default=10, help="control steps per timed block")
-    parser.add_argument("--tasks", nargs="+", default=list(tasks.TASKS), help="which tasks")
+    parser.add_argument("--tasks", nargs="+", default=list(tasks.names()), help="which tasks")
     options = parser.parse_args()
     try:
         figures = run(options)

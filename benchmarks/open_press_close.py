@@ -7,7 +7,7 @@ Aggregates finished run directories of `skewmi train --task open_press_close
 seed on one core). Every run's final policy then acts deterministically in fresh episodes with
 random starts. Writes a document and, beside it, a picture; runs that found or learned nothing
 stay in both, and in the medians as infinitely late (null where the median is). A run trained
-with a twin is evaluated with it.
+with a variation is evaluated with it.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from common import (
     write_result,
 )
 
-from skewmi.cli.policies import twin_option
+from skewmi.cli.task_flags import variation_option
 from skewmi.errors import ConfigurationError, SkewmiError
 from skewmi.evaluation.contact import recorder_for, summarise_contact
 from skewmi.evaluation.learning import RunRecord, draw_learning, read_record
@@ -65,7 +65,9 @@ def train_seeds(options: argparse.Namespace, root: Path) -> list[Path]:
             stop_on_convergence=True,
         )
         config = replace(
-            config, task_options=config.task_options + tuple(twin_option(options.twin).items())
+            config,
+            task_options=config.task_options
+            + tuple(variation_option(TASK, options.variation).items()),
         )
         if options.steps is not None:
             config = replace(config, total_steps=options.steps)
@@ -131,14 +133,14 @@ def describe(record: RunRecord) -> dict[str, Any]:
     """What a run was and when things happened in it."""
     config, converged_at = record.config, record.converged_at
     options: dict[str, Any] = dict(config.task_options)
-    twin = options.pop("twin", None)
+    variation = options.pop("variation", None)
     recorded = recorded_commit(record.run_dir)
     x, y = record.curve
     return {
         "seed": config.seed,
         "preset": config.preset,
         "task_options": options,
-        "twin": "nominal" if twin is None else json.loads(twin),
+        "variation": "nominal" if variation is None else json.loads(variation),
         "commit": recorded or commit(),
         "commit_from": "the run" if recorded else "the tree at aggregation; the run recorded none",
         "trajectories": record.trajectories,
@@ -216,7 +218,8 @@ def aggregate(folders: Sequence[Path], options: argparse.Namespace) -> dict[str,
         "runs": runs,
     }
     options.out.parent.mkdir(parents=True, exist_ok=True)
-    draw_learning(records, options.out.with_suffix(".png"), dpi=80)
+    planes = tasks.find(TASK).planes
+    draw_learning(records, options.out.with_suffix(".png"), dpi=80, planes=planes)
     config = {
         **json.loads(comparable(records[0].config).to_json()),
         "episodes": options.episodes,
@@ -237,7 +240,7 @@ def main() -> int:
     parser.add_argument("--episodes", type=int, default=200, help="evaluated per run")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2], help="to train")
     parser.add_argument("--preset", default="improved", help="to train")
-    parser.add_argument("--twin", help="to train with: twin file, or name of a bundled one")
+    parser.add_argument("--variation", help="to train with: file or bundled name")
     parser.add_argument("--minutes", type=float, default=45.0, help="budget of each training")
     parser.add_argument("--steps", type=int, help="budget of each training, environment steps")
     parser.add_argument("--threads", type=int, default=1, help="of training and evaluation")

@@ -49,7 +49,7 @@ CYCLES_PER_COMMAND = 5
 SHARE_BAR = 0.25
 """Of cycle and tick that the work may take in 99.9 % of the cases."""
 RATIO_BAR = 1.3
-START = np.array(yumi.PRESS_START_CONFIGURATION)
+START = np.array(yumi.TABLE_CONFIGURATION)
 
 
 def watch_stages(planner: Planner, times: StageTimes) -> None:

@@ -1,4 +1,4 @@
-"""The server's tick of 4 ms in real time: the deployed controller and twin, without the wires.
+"""The server's tick of 4 ms in real time: the deployed controller and physics, without the wires.
 
 Every fifth tick states are measured and encoded as they would be published. At the tick after it,
 when the session has answered, a chunk arrives that was planned and encoded beforehand: it is
@@ -16,7 +16,7 @@ from planner_timing import Pace, StageTimes, percentiles
 
 from skewmi.deploy.motion.planner import Planner
 from skewmi.deploy.realtime import hot_loop
-from skewmi.deploy.robot.backends.mujoco.backend import SimTwin
+from skewmi.deploy.robot.backends.mujoco.backend import MujocoBackend
 from skewmi.deploy.robot.controller import RobotController
 from skewmi.deploy.robot.run import limit_check
 from skewmi.deploy.safety.validation import ChunkValidator, ValidationRules
@@ -57,7 +57,7 @@ def measure_robot_server(seconds: float, seed: int, profile: str = "lab") -> dic
     Raises:
         RuntimeError: A chunk was refused: then nothing was measured that matters.
     """
-    backend = SimTwin()
+    backend = MujocoBackend()
     workspace = backend.layout.workspace
     assert workspace is not None
     bounds = limits.profile(profile)

@@ -63,7 +63,7 @@ def main() -> None:
     folder = Path(__file__).parent / "images"
     folder.mkdir(exist_ok=True)
     model = build()
-    home, start = yumi.HOME["right"], yumi.PRESS_START_CONFIGURATION
+    home, start = yumi.HOME["right"], yumi.TABLE_CONFIGURATION
     pictures = {
         "yumi-home.png": [(home, 180.0, -8.0), (home, 135.0, -16.0)],
         "yumi-press-start.png": [(start, 150.0, -16.0), (start, 90.0, -8.0)],

@@ -32,6 +32,49 @@ class StepResult:
     truncated: bool
 
 
+@dataclass(frozen=True)
+class GridAxis:
+    """One axis of the grid that entropy and coverage are measured on."""
+
+    field: str
+    low: float
+    high: float
+    points: int
+
+
+@dataclass(frozen=True)
+class Condition:
+    """A field inside a closed interval; None leaves that side open."""
+
+    field: str
+    low: float | None = None
+    high: float | None = None
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something whose first time is worth logging: all conditions at one step."""
+
+    name: str
+    conditions: tuple[Condition, ...]
+
+
+@dataclass(frozen=True)
+class TaskMetrics:
+    """What is worth measuring in a task besides its reward.
+
+    Attributes:
+        grid: Axes on which entropy and coverage are measured; empty: neither is.
+        unit_range: Whether each axis is scaled to [0, 1] before densities and distances, because
+            its fields have different units.
+        events: First times to log; the first reward always is.
+    """
+
+    grid: tuple[GridAxis, ...] = ()
+    unit_range: bool = False
+    events: tuple[Event, ...] = ()
+
+
 class BatchEnv(Protocol):
     """`num_envs` copies of one task, stepped in lock-step through episodes of fixed length.
 

@@ -20,7 +20,9 @@ from rich.console import Console
 from rich.table import Table
 
 from skewmi import policies
+from skewmi.cli.task_flags import TaskName
 from skewmi.errors import ConfigurationError
+from skewmi.sim import tasks
 
 
 @dataclass(frozen=True)
@@ -29,7 +31,7 @@ class DemoCommand:
 
     out: Path = Path("demo")
     """Directory for everything the demo writes; an earlier demo's files in it are replaced."""
-    task: str = "open_press_close"
+    task: TaskName = field(default_factory=tasks.default)
     """Task to train and deploy; one with an arm."""
     minutes: float = 4.0
     """Wall-clock time for training, minutes."""

@@ -24,7 +24,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from skewmi.cli.interrupt import signals_to_handle
-from skewmi.cli.policies import twin_option
+from skewmi.cli.task_flags import variation_option
 from skewmi.contact import QUANTITIES
 from skewmi.deploy import run as deploy_run
 from skewmi.deploy.options import DeployOptions
@@ -45,9 +45,10 @@ class DeployCommand:
     connect: str | None = None
     """Zenoh locator of a running `skewmi robot`, such as tcp/127.0.0.1:7447; without it and
     without --zenoh-config a simulated robot is started for this run."""
-    twin: str | None = None
-    """How the simulated robot that is started and its scene differ from the nominal ones: a twin
-    file (YAML), or `randomised`. Each episode draws by its own seed."""
+    variation: str | None = None
+    """How the simulated robot that is started and its scene differ from the nominal ones: a
+    variation file (YAML), or the name of one that comes with the task, as `randomised`. Each
+    episode draws by its own seed."""
     episodes: int = 1
     """How many."""
     seed: int = 0
@@ -83,6 +84,7 @@ class DeployCommand:
 def deploy_policy(options: DeployCommand) -> DeployReport:
     """Load the policy and run it; progress on standard error."""
     policy = OnnxPolicy.load(options.policy)
+    variation = variation_option(policy.layout.task, options.variation).get("variation")
     for file in (options.record, options.live_out):
         if file is not None and file.exists() and not options.overwrite:
             raise ConfigurationError(f"{file} exists; give another file or --overwrite")
@@ -100,7 +102,7 @@ def deploy_policy(options: DeployCommand) -> DeployReport:
                 episodes=options.episodes,
                 seed=options.seed,
                 connect=options.connect,
-                twin=twin_option(options.twin).get("twin"),
+                variation=variation,
                 lock_step=options.lock_step,
                 limits=options.limits,
                 speed=options.speed,

@@ -206,7 +206,7 @@ def _rendering() -> Check:
 def _simulations() -> Iterator[Check]:
     from skewmi.sim import tasks
 
-    for task in tasks.TASKS:
+    for task in tasks.names():
         yield _probe(f"task {task}", doctor_probes.SIMULATE, task, bad="error")
 
 

@@ -21,8 +21,8 @@ from skewmi.cli.policies import (
     make_env,
     progress_bar,
     task_options,
-    twin_option,
 )
+from skewmi.cli.task_flags import OptionalTaskName, variation_option
 from skewmi.errors import ConfigurationError, LayoutMismatchError
 from skewmi.evaluation.agents import RandomAgent, ZeroAgent
 from skewmi.evaluation.contact import contact_text, recorder_for, summarise_contact
@@ -36,7 +36,7 @@ class EvaluateCommand:
 
     policy: Annotated[Path | None, tyro.conf.Positional] = None
     """Run directory or ONNX file. Not needed with --agent zero or random."""
-    task: str | None = None
+    task: OptionalTaskName = None
     """Task to run; default: the one the policy was trained on."""
     agent: Literal["policy", "zero", "random"] = "policy"
     """Who acts: the given policy, or a baseline that always or randomly does anything."""
@@ -50,8 +50,9 @@ class EvaluateCommand:
     """Environments stepped together; 0: as many as episodes, at most 50."""
     num_threads: int = 0
     """Threads that step them; 0: automatic."""
-    twin: str | None = None
-    """How robot and scene differ from the nominal ones: a twin file (YAML), or `randomised`."""
+    variation: str | None = None
+    """How robot and scene differ from the nominal ones: a variation file (YAML), or the name of
+    one that comes with the task, as `randomised`."""
     option: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """Option of the task, NAME=VALUE with VALUE in JSON, as start_noise=0.3; may be repeated."""
     json: bool = False
@@ -75,7 +76,7 @@ def run_evaluate(options: EvaluateCommand) -> int:
             f"{options.policy} was trained on task {policy.layout.task!r}, --task is {task!r}"
         )
     env_options = task_options(task, policy.layout if policy is not None else None, options.option)
-    env_options |= twin_option(options.twin)
+    env_options |= variation_option(task, options.variation)
     env = make_env(
         task, options.num_envs, options.episodes, options.num_threads, options.seed, env_options
     )
@@ -94,7 +95,7 @@ def run_evaluate(options: EvaluateCommand) -> int:
         "task": task,
         "agent": options.agent if options.agent != "policy" else str(options.policy),
         "seed": options.seed,
-        "twin": options.twin or "nominal",
+        "variation": options.variation or "nominal",
         "num_envs": env.num_envs,
         "wall_time_s": wall,
     }
@@ -108,7 +109,8 @@ def as_text(figures: dict[str, Any]) -> str:
     """The figures of `run_evaluate` for people."""
     low, high = figures["success_rate_interval_95"]
     lines = [
-        f"{figures['task']}, {figures['agent']}, seed {figures['seed']}, {figures['twin']} twin:",
+        f"{figures['task']}, {figures['agent']}, seed {figures['seed']}, "
+        f"model: {figures['variation']}",
         f"  {figures['successes']} of {figures['episodes']} episodes succeeded: "
         f"{figures['success_rate']:.1%} (95 % interval {low:.1%} to {high:.1%})",
     ]

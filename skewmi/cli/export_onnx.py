@@ -131,10 +131,11 @@ def robot_metadata(env: BatchEnv) -> dict[str, Any]:
         return {"robot": None, "robot_model_hash": None, "limits": None}
     from skewmi.robot_models import yumi
     from skewmi.robot_models.kinematics import ArmKinematics
-    from skewmi.sim.arm.batch import OpenPressCloseBatch
+    from skewmi.sim import tasks
 
-    # The only task with an arm so far; what its servos may do is the scene's business.
-    assert isinstance(env, OpenPressCloseBatch)
+    # What its servos may do is the scene's business.
+    task = tasks.find(layout.task).arm
+    assert task is not None
 
     arm = ArmKinematics()
     speed = layout.action_scale / layout.control_dt
@@ -144,7 +145,7 @@ def robot_metadata(env: BatchEnv) -> dict[str, Any]:
         "limits": {
             "joint_position_lower": arm.position_lower.tolist(),
             "joint_position_upper": arm.position_upper.tolist(),
-            "joint_force": np.asarray(env.servo_parameters.force_limit).tolist(),
+            "joint_force": np.asarray(task.servo.force_limit).tolist(),
             "command_speed": {
                 field.name: value
                 for field, value in zip(layout.action, speed.tolist(), strict=True)

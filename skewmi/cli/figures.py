@@ -1,8 +1,8 @@
 """Learning curves and a picture of the states a run has visited, as PNG files.
 
 Writes into the run directory, or into --out: curves.png (all that was measured), learning.png
-(rewarded share with the times of first discoveries, and how often the lid and button and the hand
-were where) and coverage.png (visited states by when they were met).
+(rewarded share with the times of first discoveries, and how often scene and hand were where) and
+coverage.png (visited states by when they were met).
 """
 
 from __future__ import annotations
@@ -42,7 +42,9 @@ def run_figures(options: FiguresCommand) -> int:
     out = options.run_dir if options.out is None else options.out
     out.mkdir(parents=True, exist_ok=True)
     files = [draw_curves(options.run_dir, out / "curves.png", options.dpi)]
-    files.append(draw_learning([read_record(options.run_dir)], out / "learning.png", options.dpi))
+    planes = tasks.find(config.task).planes
+    record, learning = read_record(options.run_dir), out / "learning.png"
+    files.append(draw_learning([record], learning, options.dpi, planes))
     reachable = _environment(config).reachable if layout.state_dim == 2 else None
     coverage = out / "coverage.png"
     files.append(

@@ -24,6 +24,7 @@ from skewmi.evaluation.film import (
     running_stamps,
     split_episodes,
 )
+from skewmi.sim import tasks
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,9 @@ def run_film(options: FilmCommand) -> int:
     if options.frames < 1:
         raise ConfigurationError(f"--frames is {options.frames}; at least 1 is needed")
     recording = read_recording(options.recording)
-    layout = recorded_layout(recording)
+    spec = tasks.find(recorded_layout(recording).task)
+    if spec.arm is None:
+        raise ConfigurationError(f"task {spec.name!r} has no robot scene to draw")
     observed = joint_series(recording, topics.POLICY_OBSERVATION)
     episodes = split_episodes(observed.stamps_ns, running_stamps(recording))
     if not 1 <= options.episode <= len(episodes):
@@ -68,12 +71,10 @@ def run_film(options: FilmCommand) -> int:
         )
     start, stop = episodes[options.episode - 1]
     times = np.arange(start, stop + 1, round(1e9 / options.rate), dtype=np.int64)
+    shown = [topics.YUMI_JOINT_STATES, *([topics.YUMI_SCENE_STATES] if spec.arm.joints else [])]
     frames = draw(
-        layout,
-        [
-            joint_series(recording, topics.YUMI_JOINT_STATES),
-            joint_series(recording, topics.YUMI_SCENE_STATES),
-        ],
+        spec.arm,
+        [joint_series(recording, topic) for topic in shown],
         times,
         width=options.width,
         height=options.height,
@@ -85,7 +86,7 @@ def run_film(options: FilmCommand) -> int:
     out = options.out if options.out is not None else options.recording.with_suffix(".gif")
     values = observed.at(times)
     labels = [
-        caption(observed.names, row, (t - start) / 1e9)
+        caption(spec.captions, observed.names, row, (t - start) / 1e9)
         for row, t in zip(values, times, strict=True)
     ]
     labelled = [rendering.label(f, text) for f, text in zip(frames, labels, strict=True)]

@@ -33,6 +33,10 @@ COMMANDS: dict[str, str] = {
 """Command -> one line of help. `a-b` lives in module `a_b` as `ABCommand` and `run_a_b`."""
 
 
+FORMER_FLAGS = {"--twin": "--variation"}
+"""Flags of former versions, which still work but are no longer told, and what they are now."""
+
+
 def usage() -> str:
     width = max(map(len, COMMANDS))
     lines = [f"  {name:<{width}}  {line}" for name, line in COMMANDS.items()]
@@ -67,6 +71,7 @@ def run_command(name: str, arguments: list[str]) -> int:
         ) from error
     options_type = getattr(module, "".join(part.title() for part in name.split("-")) + "Command")
     run = getattr(module, f"run_{module_name}")
+    arguments = [_present_name(argument) for argument in arguments]
     description = textwrap.dedent(module.__doc__ or "")
     options = tyro.cli(
         options_type,
@@ -75,6 +80,12 @@ def run_command(name: str, arguments: list[str]) -> int:
         args=arguments,
     )
     return int(run(options))
+
+
+def _present_name(argument: str) -> str:
+    """An argument with the present name of a flag in place of a former one."""
+    flag, equals, value = argument.partition("=")
+    return f"{FORMER_FLAGS.get(flag, flag)}{equals}{value}"
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -13,22 +13,13 @@ from skewmi import policies
 from skewmi.batch_env import BatchEnv
 from skewmi.errors import ConfigurationError, NotFoundError
 from skewmi.policy_io import Policy, PolicyLayout
-from skewmi.sim import variation as twins
 
 if TYPE_CHECKING:
     from skewmi.train.policy import TorchPolicy
 
 Which = Literal["latest", "best"]
 
-_LAYOUT_CHOICES: tuple[dict[str, Any], ...] = (
-    {},
-    {"time_input": True},
-    {"gripper_action": True},
-    {"gripper_action": True, "time_input": True},
-)
-"""Options of tasks that change their layout."""
-
-_OWN_FLAGS = ("num_envs", "num_threads", "seed", "twin")
+_OWN_FLAGS = ("num_envs", "num_threads", "seed", "variation")
 
 MAX_BATCH = 50
 """Environments stepped together by default: enough to keep the threads busy, little memory."""
@@ -76,7 +67,7 @@ def task_options(task: str, wanted: PolicyLayout | None, given: tuple[str, ...])
     """Options of `sim.tasks.make_batch` that give a policy the environment it was made for.
 
     Args:
-        task: One of `sim.tasks.TASKS`.
+        task: One of `sim.tasks.names()`.
         wanted: Layout of the policy. What the task offers as choices in its layout is tried
             until the layouts agree; if none does, the caller's comparison says what differs.
         given: NAME=VALUE pairs of the user, VALUE in JSON; they come on top.
@@ -88,13 +79,10 @@ def task_options(task: str, wanted: PolicyLayout | None, given: tuple[str, ...])
     from skewmi.sim import tasks
 
     options: dict[str, Any] = {}
-    for chosen in _LAYOUT_CHOICES if wanted is not None else ():
-        try:
-            if wanted is not None and tasks.layout(task, **chosen).hash() == wanted.hash():
-                options.update(chosen)
-                break
-        except ConfigurationError:
-            continue  # this task has no such choice
+    for chosen, layout in tasks.find(task).layouts():
+        if wanted is not None and layout.hash() == wanted.hash():
+            options.update(chosen)
+            break
     for pair in given:
         name, equals, text = pair.partition("=")
         try:
@@ -108,27 +96,13 @@ def task_options(task: str, wanted: PolicyLayout | None, given: tuple[str, ...])
     return options
 
 
-def twin_option(twin: str | None) -> dict[str, str]:
-    """The task option that a `--twin` means: what the file says, so that it may change later.
-
-    Args:
-        twin: File, or name of a bundled one; None for the nominal twin, which is no option.
-
-    Raises:
-        NotFoundError: There is no such file.
-        ConfigurationError: A key or value is not allowed.
-    """
-    found = twins.resolve(twin)
-    return {} if found.is_nominal else {"twin": found.to_json()}
-
-
 def make_env(
     task: str, num_envs: int, episodes: int, num_threads: int, seed: int, options: dict[str, Any]
 ) -> BatchEnv:
     """The environment of an evaluation.
 
     Args:
-        task: One of `sim.tasks.TASKS`.
+        task: One of `sim.tasks.names()`.
         num_envs: Environments stepped together; 0: as many as episodes, at most `MAX_BATCH`.
         episodes: How many will be run.
         num_threads: 0 chooses.

@@ -14,7 +14,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from logging.handlers import QueueHandler, QueueListener
 from pathlib import Path
 from queue import SimpleQueue
@@ -23,10 +23,12 @@ from typing import Literal
 from rich.console import Console
 
 from skewmi.cli.interrupt import signals_to_handle
+from skewmi.cli.task_flags import TaskName
 from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.robot.run import SimulatedRobotOptions, run_simulated_robot
 from skewmi.deploy.wire.transport import TransportConfig
 from skewmi.robot_models import limits as joint_limits
+from skewmi.sim import tasks
 
 
 @dataclass(frozen=True)
@@ -35,10 +37,11 @@ class RobotCommand:
 
     backend: Literal["sim"] = "sim"
     """What the robot is: the simulated YuMi."""
-    task: str = "open_press_close"
+    task: TaskName = field(default_factory=tasks.default)
     """Whose scene stands in front of the robot."""
-    twin: str | None = None
-    """How robot and scene differ from the nominal ones: a twin file (YAML), or `randomised`."""
+    variation: str | None = None
+    """How robot and scene differ from the nominal ones: a variation file (YAML), or the name of
+    one that comes with the task, as `randomised`."""
     listen: str | None = None
     """Zenoh locator to listen on; by default what --zenoh-config says, else tcp/127.0.0.1:7447."""
     limits: str = "lab"
@@ -85,7 +88,7 @@ def run_robot(options: RobotCommand) -> int:
     with _log_told(console):
         run_simulated_robot(
             config,
-            SimulatedRobotOptions(profile, options.task, options.lock_step, options.twin),
+            SimulatedRobotOptions(profile, options.task, options.lock_step, options.variation),
             stop,
             on_ready=ready,
         )

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from skewmi.cli.policies import twin_option
+from skewmi.cli.task_flags import OptionalTaskName, variation_option
 from skewmi.errors import CheckpointError, ConfigurationError
 from skewmi.sim import tasks
 from skewmi.train import run
@@ -28,8 +28,8 @@ class TrainCommand:
 
     run_dir: Path
     """Directory of the run; created."""
-    task: str | None = None
-    """Task to learn: open_press_close or point_maze. Not needed with --resume."""
+    task: OptionalTaskName = None
+    """Task to learn. Not needed with --resume."""
     preset: Literal["improved", "paper"] = "improved"
     """Where all numbers start from: ours, or the publication's."""
     seed: int = 0
@@ -37,8 +37,8 @@ class TrainCommand:
     resume: bool = False
     """Continue the run in the directory, or start it if there is none yet."""
     start_from: Path | None = None
-    """Begin with the networks and the replay of another run, say to go on under a twin; its
-    steps count as done."""
+    """Begin with the networks and the replay of another run, say to go on under a variation;
+    its steps count as done."""
     steps: int | None = None
     """Environment steps in total; default: the preset's."""
     minutes: float | None = None
@@ -51,9 +51,10 @@ class TrainCommand:
     sac.n_step=1 replay.rare_share=0 task_options.gripper_action=true. Values are JSON."""
     num_envs: int | None = None
     """Environments stepped together; default: the preset's."""
-    twin: str | None = None
-    """How robot and scene differ from the nominal ones: a twin file (YAML), or `randomised`. What
-    it says is saved with the run, and --resume keeps it."""
+    variation: str | None = None
+    """How robot and scene differ from the nominal ones: a variation file (YAML), or the name of
+    one that comes with the task, as `randomised`. What it says is saved with the run, and --resume
+    keeps it."""
     threads: int = 1
     """Threads of the tensor library and of the simulation."""
     device: Literal["cpu", "cuda"] = "cpu"
@@ -112,14 +113,14 @@ def begun_from(options: TrainCommand) -> TrainConfig:
             "and --num-envs"
         )
     step = read_checkpoint(options.start_from).state["step"]
-    without_twin = tuple((k, v) for k, v in config.task_options if k != "twin")
+    nominal = tuple((k, v) for k, v in config.task_options if k != "variation")
     return replace(
         config,
         started_from=f"{options.start_from.name}, step {step}",
         seed=options.seed,
         device=options.device,
         threads=options.threads,
-        task_options=without_twin + tuple(twin_option(options.twin).items()),
+        task_options=nominal + tuple(variation_option(config.task, options.variation).items()),
     )
 
 
@@ -128,16 +129,17 @@ def resolve(options: TrainCommand) -> TrainConfig:
 
     Raises:
         NotFoundError: No such task or preset.
-        ConfigurationError: A value is not allowed, or --twin is not the resumed run's.
+        ConfigurationError: A value is not allowed, or --variation is not the resumed run's.
         CheckpointError: --resume without --task, and there is no run.
     """
     if options.resume and (options.run_dir / "config.json").exists():
         config, _ = read_run_header(options.run_dir)
-        recorded = dict(config.task_options).get("twin")
-        if options.twin is not None and twin_option(options.twin).get("twin") != recorded:
+        recorded = dict(config.task_options).get("variation")
+        given = variation_option(config.task, options.variation).get("variation")
+        if options.variation is not None and given != recorded:
             raise ConfigurationError(
-                f"--twin {options.twin} is not what the run in {options.run_dir} was started with; "
-                "leave --twin out to continue it, or use another directory"
+                f"--variation {options.variation} is not what the run in {options.run_dir} was "
+                "started with; leave --variation out to continue it, or use another directory"
             )
         if options.set:
             raise ConfigurationError(
@@ -155,7 +157,7 @@ def resolve(options: TrainCommand) -> TrainConfig:
             device=options.device,
             threads=options.threads,
         )
-        extra = tuple(twin_option(options.twin).items())
+        extra = tuple(variation_option(options.task, options.variation).items())
         config = replace(config, task_options=config.task_options + extra)
         config = with_settings(config, options.set)
         if options.num_envs is not None:

@@ -20,8 +20,8 @@ class DeployOptions:
     connect: str | None = None
     """Zenoh locator of a running robot server; None without `zenoh_config` starts a simulated one
     and ends it afterwards."""
-    twin: str | None = None
-    """Twin of the simulated robot that is started; not together with `connect` or
+    variation: str | None = None
+    """Model variation of the simulated robot that is started; not together with `connect` or
     `zenoh_config`."""
     lock_step: bool = False
     """Robot server and session wait for each other: fast and repeatable. Simulated robots only."""
@@ -55,10 +55,10 @@ class DeployOptions:
             raise ConfigurationError(f"episodes is {self.episodes}; it must be at least 1")
         if self.seed < 0:
             raise ConfigurationError(f"seed is {self.seed}; it must not be negative")
-        if self.twin is not None and (self.connect or self.zenoh_config) is not None:
+        if self.variation is not None and (self.connect or self.zenoh_config) is not None:
             raise ConfigurationError(
-                "a twin is of the simulated robot; give --twin to the skewmi robot that --connect "
-                "or --zenoh-config names"
+                "a variation is of the simulated robot; give --variation to the skewmi robot that "
+                "--connect or --zenoh-config names"
             )
         if not 0.1 <= self.speed <= 1.0:
             raise ConfigurationError(f"speed is {self.speed}; it must be in 0.1..1")

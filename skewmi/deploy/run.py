@@ -74,7 +74,10 @@ def run_deploy(
     else:
         tell("starting the simulated robot in its own process")
         server = simulated_robot_process(
-            policy.layout.task, profile.name, lock_step=options.lock_step, twin=options.twin
+            policy.layout.task,
+            profile.name,
+            lock_step=options.lock_step,
+            variation=options.variation,
         )
     with server as locator:
         config = TransportConfig.for_client(
@@ -126,7 +129,7 @@ def _metadata(options: DeployOptions, policy: Policy, link: Link) -> dict[str, s
         seed=str(options.seed),
         limit_profile=limits.name,
         robot_model_hash=yumi.MODEL_HASH,
-        **({} if options.twin is None else {"twin": options.twin}),
+        **({} if options.variation is None else {"variation": options.variation}),
     )
 
 

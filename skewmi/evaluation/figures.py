@@ -51,10 +51,10 @@ def draw_curves(run_dir: Path, path: Path, dpi: int) -> Path:
             known = np.isfinite(values)
             axis.plot(trajectories[known], values[known], color=colour, label=label or None)
         if "temperature" in title:
-            twin = axis.twinx()
+            right = axis.twinx()
             values = np.array(table["temperature"])
-            twin.semilogy(trajectories, values, color=drawing.ORANGE)
-            twin.set_ylabel("temperature", color=drawing.ORANGE)
+            right.semilogy(trajectories, values, color=drawing.ORANGE)
+            right.set_ylabel("temperature", color=drawing.ORANGE)
         elif len(curves) > 1:
             axis.legend(frameon=False, fontsize=8)
         axis.set_title(title, fontsize=10)

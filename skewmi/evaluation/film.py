@@ -5,7 +5,9 @@ Drawn is what the robot reported (measured joints and scene), not what was comma
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +19,10 @@ from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.messages import JointStates, decode_joint_states, decode_status
 from skewmi.errors import ConfigurationError
 from skewmi.policy_io import Array, PolicyLayout
+
+if TYPE_CHECKING:
+    from skewmi.sim.arm.task import ArmTask
+    from skewmi.sim.task_spec import Caption
 
 
 @dataclass(frozen=True)
@@ -94,7 +100,7 @@ def split_episodes(
 
 
 def draw(
-    layout: PolicyLayout,
+    arm: ArmTask,
     series: list[Series],
     times: NDArray[np.int64],
     *,
@@ -104,19 +110,24 @@ def draw(
 ) -> list[NDArray[np.uint8]]:
     """One frame per time, with every recorded joint where it was reported.
 
-    Raises:
-        ConfigurationError: The task has no scene with these joints.
-    """
-    from skewmi.sim import rendering
+    Args:
+        arm: Task whose scene it was.
+        series: Of joints of robot and scene.
+        times: ns of the robot server's clock.
+        width: Of a frame, pixels.
+        height: Of a frame, pixels.
+        camera: Of the scene.
 
-    if layout.task != "open_press_close":
-        raise ConfigurationError(f"task {layout.task!r} has no robot scene to draw")
+    Raises:
+        NotFoundError: The scene has no such camera.
+    """
     import mujoco
 
     from skewmi.robot_models import yumi
-    from skewmi.sim.arm.scene import OpenPressCloseScene
+    from skewmi.sim import rendering
+    from skewmi.sim.arm.scene import ArmScene
 
-    model = OpenPressCloseScene().model
+    model = ArmScene(arm).model
     data = mujoco.MjData(model)
     columns = [(item, [int(model.joint(n).qposadr[0]) for n in item.names]) for item in series]
     driving, following = (int(model.joint(n).qposadr[0]) for n in yumi.finger_names("right"))
@@ -130,13 +141,17 @@ def draw(
     return frames
 
 
-def caption(names: tuple[str, ...], values: Array, seconds: float) -> str:
-    """Time and the scene's part of an observation, for people."""
+def caption(
+    captions: Sequence[Caption], names: tuple[str, ...], values: Array, seconds: float
+) -> str:
+    """Time and what the task tells of an observation, for people.
+
+    Args:
+        captions: Of the task.
+        names: Of the observation's fields.
+        values: Of these. Shape (len(names),).
+        seconds: Since the episode's start.
+    """
     shown = dict(zip(names, values, strict=True))
-    parts = [f"{seconds:4.1f} s"]
-    if "lid_angle" in shown:
-        # A shut lid rests a hair below zero on its stop: show 0, not -0.
-        parts.append(f"lid {abs(round(np.rad2deg(shown['lid_angle']))):3d} deg")
-    if "button_depth" in shown:
-        parts.append(f"button {abs(round(1e3 * shown['button_depth'])):2d} mm")
-    return "  ".join(parts)
+    told = [item.text(float(shown[item.field])) for item in captions if item.field in shown]
+    return "  ".join([f"{seconds:4.1f} s", *told])

@@ -114,7 +114,9 @@ def median_curve(records: Sequence[RunRecord]) -> tuple[Array, Array]:
     return grid, np.median(held, axis=0)
 
 
-def draw_learning(records: Sequence[RunRecord], path: Path, dpi: int) -> Path:
+def draw_learning(
+    records: Sequence[RunRecord], path: Path, dpi: int, planes: Sequence[tuple[str, str]] = ()
+) -> Path:
     """Learning curves and discoveries of runs of one task, and what one of them visited.
 
     That one is the first that converged, or else the first.
@@ -123,24 +125,25 @@ def draw_learning(records: Sequence[RunRecord], path: Path, dpi: int) -> Path:
         records: At least one; all of one task.
         path: Picture file to write.
         dpi: Dots per inch.
+        planes: Pairs of state fields whose visited states are drawn, beside the hand's.
     """
     first = records[0]
     shown = next((r for r in records if r.converged_at is not None), first)
-    planes = _planes(first.layout)
+    shown_planes = _planes(first.layout, planes)
     rows = [*first.discoveries, "convergence"]
-    figure = drawing.new_figure(12.0, 5.4 + 4.2 * bool(planes))
-    heights = [3.2, 0.32 * len(rows), 4.2][: 3 if planes else 2]
-    grid = figure.add_gridspec(len(heights), max(len(planes), 1), height_ratios=heights)
+    figure = drawing.new_figure(12.0, 5.4 + 4.2 * bool(shown_planes))
+    heights = [3.2, 0.32 * len(rows), 4.2][: 3 if shown_planes else 2]
+    grid = figure.add_gridspec(len(heights), max(len(shown_planes), 1), height_ratios=heights)
     top = figure.add_subplot(grid[0, :])
     below = figure.add_subplot(grid[1, :], sharex=top)
     _draw_curves(top, records)
     _draw_discoveries(below, records, rows)
     end = max(record.trajectories for record in records)
     top.set_xlim(-0.01 * end, 1.02 * end)
-    if planes:
+    if shown_planes:
         states, _ = visited_states(shown.run_dir)
         flat = states.reshape(-1, states.shape[-1])
-        for k, columns in enumerate(planes):
+        for k, columns in enumerate(shown_planes):
             _draw_visits(figure.add_subplot(grid[2, k]), first.layout, flat, columns)
     for axis in figure.axes:
         drawing.strip(axis)
@@ -196,10 +199,10 @@ def _draw_discoveries(axis: Axes, records: Sequence[RunRecord], rows: Sequence[s
     axis.set_xlabel("trajectories")
 
 
-def _planes(layout: PolicyLayout) -> list[tuple[int, int]]:
-    """Pairs of state fields worth a map: the scene's own, and the hand's vertical plane."""
+def _planes(layout: PolicyLayout, planes: Sequence[tuple[str, str]]) -> list[tuple[int, int]]:
+    """Pairs of state fields worth a map: the task's own, and the hand's vertical plane."""
     names = [field.name for field in layout.state_fields]
-    pairs = (("lid_angle", "button_depth"), ("hand_y", "hand_z"))
+    pairs = (*planes, ("hand_y", "hand_z"))
     return [(names.index(u), names.index(v)) for u, v in pairs if {u, v} <= set(names)]
 
 

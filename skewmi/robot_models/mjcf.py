@@ -96,7 +96,7 @@ def add_position_servos(
 ) -> None:
     """Add a position servo per joint, one for the fingers, friction and gravity compensation.
 
-    Actuators are named as the joints they drive; the gripper's is `gripper_r_joint` (its twin
+    Actuators are named as the joints they drive; the gripper's is `gripper_r_joint` (the other
     finger follows by the equality). Controls are joint positions, rad, and finger travel, m.
     Gravity on arm and hand is compensated as a passive force, so it uses up no servo torque.
     """

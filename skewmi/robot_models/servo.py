@@ -25,12 +25,12 @@ ARMATURE: Array = np.array([0.10, 0.10, 0.05, 0.05, 0.01, 0.01, 0.01])
 
 STIFFNESS: Array = np.array([750.0, 750.0, 400.0, 400.0, 100.0, 100.0, 30.0])
 """Servo stiffness, N m/rad [C]: about a sixth of the joints' own measured stiffness (4400 N m/rad
-on axis 1), so that the servo and not the gearbox is the soft part; some 4 kN/m at the hand in
-OpenPressClose. Shape (7,)."""
+on axis 1), so that the servo and not the gearbox is the soft part; some 4 kN/m at the hand
+where it works at a table. Shape (7,)."""
 
 FORCE_LIMIT: Array = np.array([12.5, 12.5, 6.0, 6.0, 2.0, 2.0, 1.0])
 """Largest servo torque beyond gravity, N m [C]: a sixth to a half of the second-hand joint
-torques. In OpenPressClose the hand then pushes down with 22 to 25 N standing, which suits a
+torques. At a table the hand then pushes down with 22 to 25 N standing, which suits a
 collaborative robot. Gravity is compensated outside it. Shape (7,)."""
 
 FRICTIONLOSS: Array = np.array([0.28, 0.28, 0.12, 0.12, 0.046, 0.046, 0.046])

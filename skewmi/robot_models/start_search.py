@@ -1,6 +1,8 @@
-"""How the start configuration of the OpenPressClose task was found; run it to find it again.
+"""Finds a good configuration for a task to start from; `yumi.TABLE_CONFIGURATION` is one.
 
     python -m skewmi.robot_models.start_search
+    python -m skewmi.robot_models.start_search --start 0 -0.1 0.27 --low -0.05 -0.15 0.19 \\
+        --high 0.05 0.1 0.33
 
 The arm has one redundant degree of freedom and several branches, so a hand pose leaves a choice.
 The search draws random configurations, solves each for the start pose, drives every solution on
@@ -19,7 +21,9 @@ figure is bought at the expense of another.
 
 from __future__ import annotations
 
+import argparse
 import itertools
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -27,20 +31,30 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from skewmi.errors import KinematicsError
 from skewmi.robot_models import mjcf, yumi
 from skewmi.robot_models.frames import BASE_IN_WORLD, HAND_DOWN, world_to_base
 from skewmi.robot_models.kinematics import ArmKinematics
 from skewmi.robot_models.yumi import Array
 
-PRESS_START_POSITION_W = (-0.009, -0.1345, 0.270)
-"""Hand above the handle of the box, task world, m."""
-
-PRESS_BOX_LOW_W = (-0.019, -0.155, 0.190)
-PRESS_BOX_HIGH_W = (0.001, 0.135, 0.355)
-"""The hand's box in OpenPressClose, task world, m."""
-
 LENGTH_UNIT = 0.3
 """Metres that count as one radian in the conditioning figure: about half the reach."""
+
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class HandRoom:
+    """Where the hand of a task starts, and the box it moves in; task world, m."""
+
+    start: Vector
+    low: Vector
+    high: Vector
+
+
+TABLE_ROOM = HandRoom((-0.009, -0.1345, 0.270), (-0.019, -0.155, 0.190), (0.001, 0.135, 0.355))
+"""What `yumi.TABLE_CONFIGURATION` was found for."""
 
 
 @dataclass(frozen=True)
@@ -127,24 +141,25 @@ def smallest_singular_value(arm: ArmKinematics, q: Array) -> Array:
     return np.asarray(np.linalg.svd(arm.jacobian(q) * scale, compute_uv=False)[..., -1])
 
 
-def rate(q: Array, *, steps: int = 25) -> Rating:
+def rate(q: Array, *, room: HandRoom = TABLE_ROOM, steps: int = 25) -> Rating:
     """Rate start configurations by driving each to the corners of the box.
 
     Args:
         q: Configurations with the hand at the start pose, rad. Shape (n, 7).
+        room: Start and box.
         steps: Steps of each straight line.
     """
     arm, clearance = ArmKinematics("right"), Clearance()
-    start = world_to_base(PRESS_START_POSITION_W)
+    start = world_to_base(room.start)
     n = len(q)
     reached = np.ones(n, dtype=np.bool_)
     margin, singular = joint_margin(q), smallest_singular_value(arm, q)
     visited = [q]
-    for corner_w in itertools.product(*zip(PRESS_BOX_LOW_W, PRESS_BOX_HIGH_W, strict=True)):
+    for corner_w in itertools.product(*zip(room.low, room.high, strict=True)):
         corner = world_to_base(corner_w)
         present = q
-        for share in np.linspace(0.0, 1.0, steps + 1)[1:]:
-            target = np.broadcast_to(start + share * (corner - start), (n, 3))
+        for fraction in np.linspace(0.0, 1.0, steps + 1)[1:]:
+            target = np.broadcast_to(start + fraction * (corner - start), (n, 3))
             result = arm.inverse(target, HAND_DOWN, present, posture=q)
             present = result.q
             reached &= (result.position_error < 1e-5) & (result.rotation_error < np.radians(1e-3))
@@ -158,10 +173,10 @@ def rate(q: Array, *, steps: int = 25) -> Rating:
     return Rating(reached, margin, singular, distances[:, 0], distances[:, 1])
 
 
-def solve_start(q_start: Array) -> Array:
+def solve_start(q_start: Array, room: HandRoom = TABLE_ROOM) -> Array:
     """Those of the configurations near `q_start` (n, 7) that put the hand at the start pose."""
     arm = ArmKinematics("right")
-    target = world_to_base(PRESS_START_POSITION_W)
+    target = world_to_base(room.start)
     result = arm.inverse(
         target,
         HAND_DOWN,
@@ -174,34 +189,54 @@ def solve_start(q_start: Array) -> Array:
     return result.q[met]
 
 
-def search(*, samples: int = 3000, refinements: int = 6, seed: int = 0) -> tuple[Array, Rating]:
-    """Best configuration found, shape (7,), and its rating."""
+def search(
+    room: HandRoom = TABLE_ROOM, *, samples: int = 3000, refinements: int = 6, seed: int = 0
+) -> tuple[Array, Rating]:
+    """Best configuration found, shape (7,), and its rating.
+
+    Raises:
+        KinematicsError: None was found.
+    """
     generator = np.random.default_rng(seed)
     arm = ArmKinematics("right")
     draws = generator.uniform(arm.position_lower, arm.position_upper, (samples, 7))
-    candidates = solve_start(draws)
+    candidates = solve_start(draws, room)
     decent = joint_margin(candidates) > np.radians(15.0)
     decent &= smallest_singular_value(arm, candidates) > 0.2
     candidates = candidates[decent]
-    best = candidates[np.argsort(-_preference(candidates))[:5]]
+    if not len(candidates):
+        raise KinematicsError(f"no good configuration with the hand at {room.start} was found")
+    best = candidates[np.argsort(-_preference(candidates, room))[:5]]
     spread = 0.2
     for _ in range(refinements):
         near = best[:, None] + generator.normal(0.0, spread, (len(best), 12, 7))
-        candidates = np.concatenate([best, solve_start(near.reshape(-1, 7))])
-        best = candidates[np.argsort(-_preference(candidates))[:5]]
+        candidates = np.concatenate([best, solve_start(near.reshape(-1, 7), room)])
+        best = candidates[np.argsort(-_preference(candidates, room))[:5]]
         spread *= 0.5
     winner = best[:1]
-    return winner[0], rate(winner)
+    return winner[0], rate(winner, room=room)
 
 
-def _preference(candidates: Array) -> Array:
+def _preference(candidates: Array, room: HandRoom) -> Array:
     # Axis 4 turns by 580 degrees: the same pose comes twice, and less wound up is better.
-    return rate(candidates).score - 1e-3 * np.abs(candidates[:, 4])
+    return rate(candidates, room=room).score - 1e-3 * np.abs(candidates[:, 4])
 
 
 def main() -> None:
     """Print the winner in degrees and radians, and its figures."""
-    q, rating = search()
+    parser = argparse.ArgumentParser(description="Start configuration for a box of the hand.")
+    for name in ("start", "low", "high"):
+        parser.add_argument(
+            f"--{name}",
+            nargs=3,
+            type=float,
+            default=getattr(TABLE_ROOM, name),
+            metavar=("X", "Y", "Z"),
+            help="task world, m",
+        )
+    options = parser.parse_args()
+    room = HandRoom(tuple(options.start), tuple(options.low), tuple(options.high))
+    q, rating = search(room)
     lines = [
         f"configuration, deg: {np.degrees(q).round(3).tolist()}",
         f"configuration, rad: {[float(f'{x:.12f}') for x in q]}",
@@ -210,8 +245,6 @@ def main() -> None:
         f"table {rating.table_clearance[0]:.3f} m, body {rating.body_clearance[0]:.3f} m, "
         f"score {rating.score[0]:.3f}",
     ]
-    import sys
-
     sys.stdout.write("\n".join(lines) + "\n")
 
 

@@ -211,7 +211,7 @@ HOME: dict[Side, tuple[float, ...]] = {
 }
 """ABB's calibration and home pose, chain order, rad [A]."""
 
-PRESS_START_CONFIGURATION: tuple[float, ...] = (
+TABLE_CONFIGURATION: tuple[float, ...] = (
     1.08840787256,
     -1.092232981278,
     -1.161771473331,
@@ -220,7 +220,7 @@ PRESS_START_CONFIGURATION: tuple[float, ...] = (
     1.302377094009,
     2.703636228566,
 )
-"""Right arm at the start of OpenPressClose: hand at (-0.009, -0.1345, 0.270) in the task world,
+"""Right arm ready for work on the table: hand at (-0.009, -0.1345, 0.270) in the task world,
 straight down, rad, chain order. Found by `start_search`, which says how it was chosen."""
 
 MIRROR_SIGNS = (-1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0)

@@ -1,7 +1,7 @@
 """Goals for goal-conditioned learners: the reward region, moved to where the goal is.
 
-A goal is a value for each field that the task's reward region talks about (x and y in the maze;
-lid angle and button depth at the box), and a state reaches it when it lies in the reward region
+A goal is a value for each field that the task's reward region talks about (x and y in a maze;
+the angle of a door), and a state reaches it when it lies in the reward region
 translated so that the region's centre is the goal. With the default goal, the region's own
 centre, this is exactly the task's sparse reward; with any other goal, such as one that hindsight
 replay puts in, it asks for the same precision elsewhere.

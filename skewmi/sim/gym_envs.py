@@ -1,12 +1,13 @@
 """The tasks as Gymnasium environments, for everybody's learners.
 
-Importing this module registers `skewmi/PointMaze-v0` and `skewmi/OpenPressClose-v0`:
+Importing this module registers every task of the registry, those of other packages included, by
+an id made of its name: task `open_drawer` is `skewmi/OpenDrawer-v0`. `IDS` lists them.
 
     import gymnasium
-    import skewmi.sim.gym_envs
+    from skewmi.sim import gym_envs
 
-    env = gymnasium.make("skewmi/PointMaze-v0")
-    envs = gymnasium.make_vec("skewmi/OpenPressClose-v0", num_envs=25)
+    env = gymnasium.make(gym_envs.gym_id("open_drawer"))
+    envs = gymnasium.make_vec("skewmi/OpenDrawer-v0", num_envs=25)
 
 Observations are dictionaries as goal-conditioned learners expect them: `observation` (the task's
 own layout, raw units), `achieved_goal` and `desired_goal` (see `skewmi.sim.goals`). The desired
@@ -25,12 +26,12 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from skewmi.policy_io import Array, PolicyLayout
-from skewmi.sim.gym_task import GoalObservation, GoalTask, one_of
+from skewmi.sim import tasks
+from skewmi.sim.gym_task import GoalFace, GoalObservation, GoalTask, one_of
 from skewmi.sim.offscreen import Image
 
 
-class GoalEnv(gymnasium.Env[Any, Any]):
+class GoalEnv(GoalFace, gymnasium.Env[Any, Any]):
     """One copy of a task. Module docstring: observation, goal, reward, info."""
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012
@@ -47,7 +48,7 @@ class GoalEnv(gymnasium.Env[Any, Any]):
         """Make it.
 
         Args:
-            task: One of `tasks.TASKS`.
+            task: One of `tasks.names()`.
             render_mode: None or "rgb_array".
             width: Of the pictures, pixels.
             height: Of the pictures, pixels.
@@ -61,16 +62,6 @@ class GoalEnv(gymnasium.Env[Any, Any]):
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": self._task.render_fps}
         self.observation_space, self.action_space = self._task.spaces()
-
-    @property
-    def layout(self) -> PolicyLayout:
-        """Names, units and frames of observation and action."""
-        return self._task.layout
-
-    @property
-    def goal_names(self) -> tuple[str, ...]:
-        """Fields that a goal gives."""
-        return self._task.goals.names
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -92,19 +83,6 @@ class GoalEnv(gymnasium.Env[Any, Any]):
         info = {"success": bool(result.success[0]), "is_success": bool(reached[0])}
         return one_of(observation, 0), float(reached[0]), False, result.truncated, info
 
-    def compute_reward(self, achieved_goal: Array, desired_goal: Array, info: Any) -> Any:
-        """1.0 where the goal is reached, else 0.0; `info` is not used.
-
-        Args:
-            achieved_goal: Shape (..., goal_dim).
-            desired_goal: Shape (..., goal_dim).
-            info: Anything.
-
-        Returns:
-            Shape (...): a float for single goals.
-        """
-        return self._task.compute_reward(achieved_goal, desired_goal)
-
     def render(self) -> Image | None:
         """A picture, shape (height, width, 3), or None without a render mode."""
         return None if self.render_mode is None else self._task.picture(0)
@@ -114,7 +92,12 @@ class GoalEnv(gymnasium.Env[Any, Any]):
         self._task.close()
 
 
-IDS = {"skewmi/PointMaze-v0": "point_maze", "skewmi/OpenPressClose-v0": "open_press_close"}
+def gym_id(task: str) -> str:
+    """The id of a task in Gymnasium's registry."""
+    return f"skewmi/{''.join(word.capitalize() for word in task.split('_'))}-v0"
+
+
+IDS = {gym_id(name): name for name in tasks.names()}
 """Registered id -> task."""
 
 

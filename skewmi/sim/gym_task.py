@@ -14,7 +14,7 @@ from skewmi.policy_io import Array, PolicyLayout
 from skewmi.sim import tasks
 from skewmi.sim.goals import RegionGoals
 from skewmi.sim.offscreen import Image
-from skewmi.sim.pictures import Camera, make_camera
+from skewmi.sim.task_spec import Camera
 
 GoalObservation = dict[str, Array]
 """`observation`, `achieved_goal` and `desired_goal`."""
@@ -112,7 +112,7 @@ class GoalTask:
     def picture(self, index: int) -> Image:
         """Of one copy now."""
         if self._camera is None:
-            self._camera = make_camera(self.batch, *self._size)
+            self._camera = tasks.find(self.layout.task).camera(self.batch, *self._size)
         return self._camera.render(index)
 
     def close(self) -> None:
@@ -120,6 +120,35 @@ class GoalTask:
         if self._camera is not None:
             self._camera.close()
             self._camera = None
+
+
+class GoalFace:
+    """What both environments show of their task besides Gymnasium's own interface."""
+
+    _task: GoalTask
+
+    @property
+    def layout(self) -> PolicyLayout:
+        """Names, units and frames of observation and action."""
+        return self._task.layout
+
+    @property
+    def goal_names(self) -> tuple[str, ...]:
+        """Fields that a goal gives."""
+        return self._task.goals.names
+
+    def compute_reward(self, achieved_goal: Array, desired_goal: Array, info: Any) -> Any:
+        """1.0 where the goal is reached, else 0.0; `info` is not used.
+
+        Args:
+            achieved_goal: Shape (..., goal_dim).
+            desired_goal: Shape (..., goal_dim).
+            info: Anything.
+
+        Returns:
+            Shape (...): a float for single goals.
+        """
+        return self._task.compute_reward(achieved_goal, desired_goal)
 
 
 def one_of(observation: GoalObservation, index: int) -> GoalObservation:

@@ -10,12 +10,11 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from skewmi.errors import ConfigurationError
-from skewmi.policy_io import Array, PolicyLayout
-from skewmi.sim.gym_task import GoalObservation, GoalTask, one_of
+from skewmi.sim.gym_task import GoalFace, GoalObservation, GoalTask, one_of
 from skewmi.sim.offscreen import Image
 
 
-class GoalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
+class GoalVectorEnv(GoalFace, VectorEnv[Any, Any, NDArray[Any]]):
     """`num_envs` copies of a task on one threaded simulation.
 
     All episodes end together. With the autoreset mode NEXT_STEP, the step after that one ignores
@@ -60,16 +59,6 @@ class GoalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._ended = False
 
-    @property
-    def layout(self) -> PolicyLayout:
-        """Names, units and frames of observation and action."""
-        return self._task.layout
-
-    @property
-    def goal_names(self) -> tuple[str, ...]:
-        """Fields that a goal gives."""
-        return self._task.goals.names
-
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[GoalObservation, dict[str, Any]]:
@@ -112,10 +101,6 @@ class GoalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             observation, _ = self.reset()
         truncated = np.full(self.num_envs, result.truncated)
         return observation, reached.astype(np.float64), never, truncated, info
-
-    def compute_reward(self, achieved_goal: Array, desired_goal: Array, info: Any) -> Any:
-        """As `GoalEnv.compute_reward`."""
-        return self._task.compute_reward(achieved_goal, desired_goal)
 
     def render(self) -> tuple[Image, ...] | None:
         """One picture per copy, each (height, width, 3), or None without a render mode."""

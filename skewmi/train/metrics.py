@@ -98,7 +98,7 @@ class Measurement:
         nearest, _ = cKDTree(x).query(self.points)
         self.distance = np.minimum(self.distance, nearest)
         index = np.floor((x - self.low) / self._cell()).astype(np.int64)
-        # The upper end belongs to the last cell; a lid at its stop overshoots it by rounding.
+        # The upper end belongs to the last cell; a hinge at its stop overshoots it by rounding.
         index = np.where(np.isclose(x, self.high, atol=1e-9), self.counts - 1, index)
         inside = ((index >= 0) & (index < self.counts)).all(1)
         self.visited[np.ravel_multi_index(tuple(index[inside].T), tuple(self.counts))] = True

@@ -97,7 +97,7 @@ def run_train(
         run_dir: Created; must not hold a run unless resuming.
         resume: Continue from the latest checkpoint; with none yet, start.
         start_from: Directory of another run, of the same networks and layout: a new run begins
-            with its networks, replay and counters, say under another twin.
+            with its networks, replay and counters, say under another variation.
         progress: Bar on standard error.
 
     Raises:

@@ -32,7 +32,7 @@ TILT_BAR_DEG = 0.2
 
 def wide_workspace() -> Workspace:
     """The press task's box, wider across (x): room for corners in every plane."""
-    box = press_workspace(np.array(yumi.PRESS_START_CONFIGURATION))
+    box = press_workspace(np.array(yumi.TABLE_CONFIGURATION))
     return replace(box, low=(-0.079, *box.low[1:]), high=(0.061, *box.high[1:]))
 
 
@@ -121,7 +121,7 @@ def path_quality(
 
 def steps(arm: UrdfArm) -> list[dict[str, Any]]:
     """Straight ways from the start, as far as the box allows and at most 150 mm."""
-    workspace = press_workspace(np.array(yumi.PRESS_START_CONFIGURATION))
+    workspace = press_workspace(np.array(yumi.TABLE_CONFIGURATION))
     start = np.array(workspace.start)
     cases = [
         ((0.0, 1.0, 0.0), "lab", 0.15),

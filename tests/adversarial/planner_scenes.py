@@ -148,7 +148,7 @@ def draw_scene(
     bounds = _draw_profile(rng, str(rng.choice(PROFILES)))
     kind = str(rng.choice(SCENES))
     if kind == "press" or (kind == "tight" and rng.random() < 0.5):
-        workspace = press_workspace(np.array(yumi.PRESS_START_CONFIGURATION))
+        workspace = press_workspace(np.array(yumi.TABLE_CONFIGURATION))
     else:
         workspace = random_workspace(rng, kinematics, kind)
     if kind == "tight":

@@ -16,7 +16,7 @@ from skewmi.cli.main import main
 from skewmi.deploy.policy import OnnxPolicy
 from skewmi.robot_models import yumi
 from skewmi.sim import tasks
-from skewmi.sim.arm.batch import OpenPressCloseBatch
+from skewmi.sim.arm.batch import ArmBatch
 from skewmi.train.checkpoint import load_policy
 
 
@@ -110,7 +110,7 @@ def test_arm_tasks_name_robot_and_limits_and_the_maze_has_none() -> None:
     maze = robot_metadata(tasks.make_batch("point_maze", 1))
     assert set(maze.values()) == {None}
     env = tasks.make_batch("open_press_close", 1)
-    assert isinstance(env, OpenPressCloseBatch)
+    assert isinstance(env, ArmBatch)
     layout = env.layout
     assert layout.workspace is not None
     arm = robot_metadata(env)

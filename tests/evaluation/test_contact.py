@@ -22,7 +22,6 @@ from skewmi.evaluation.contact import (
 from skewmi.evaluation.rollout import run_episodes
 from skewmi.policy_io import Array, PolicyLayout
 from skewmi.sim import tasks
-from skewmi.sim.arm.batch import make_batch
 
 NAMES = list(QUANTITIES)
 LIMITS = np.array([q.limit if q.limit is not None else np.inf for q in QUANTITIES.values()])
@@ -81,7 +80,7 @@ class Leaning:
 
 
 def test_recorder_tells_what_the_environment_said_and_where_the_hand_was() -> None:
-    env = make_batch(2, num_threads=1)
+    env = tasks.make_batch("open_press_close", 2, num_threads=1)
     layout = env.layout
     assert layout.workspace is not None
     low, high = np.array(layout.workspace.low), np.array(layout.workspace.high)
@@ -120,5 +119,5 @@ def test_tasks_without_a_hand_have_no_contact_figures(
 
 @pytest.fixture
 def recorder() -> Callable[[PolicyLayout], ContactRecorder]:
-    env = make_batch(1, num_threads=1)
+    env = tasks.make_batch("open_press_close", 1, num_threads=1)
     return lambda layout: ContactRecorder(layout, env.diagnostics)

@@ -130,7 +130,7 @@ def test_document_keeps_failures(runs: list[Path], tmp_path: Path) -> None:
         assert run["evaluation"]["episodes"] == 2
         assert run["evaluation"]["success_rate"] == 0.0
         assert run["evaluation"]["contact"]["hand_force_peak_n"]["max"] >= 0.0
-        assert run["twin"] == "nominal"
+        assert run["variation"] == "nominal"
     assert iio.imread(tmp_path / "result.png").std() > 5.0
 
 

@@ -144,7 +144,7 @@ def test_inverse_never_leaves_the_limits():
 
 def test_posture_is_approached_without_moving_the_hand():
     arm = ArmKinematics("right")
-    posture = np.array(yumi.PRESS_START_CONFIGURATION)
+    posture = np.array(yumi.TABLE_CONFIGURATION)
     position, rotation = arm.forward(posture)
     along_the_swivel = np.linalg.svd(arm.jacobian(posture))[2][-1]
     away = arm.inverse(position, rotation, posture + 0.4 * along_the_swivel, max_iterations=40).q
@@ -164,7 +164,7 @@ def test_posture_is_approached_without_moving_the_hand():
 
 def test_a_batch_does_not_influence_its_members():
     arm = ArmKinematics("right")
-    q = np.array(yumi.PRESS_START_CONFIGURATION)
+    q = np.array(yumi.TABLE_CONFIGURATION)
     position, rotation = arm.forward(q)
     targets = position + np.array([[0.0, 0.0, 0.0], [0.005, 0.01, -0.01], [0.3, 0.5, 0.4]])
     together = arm.inverse(targets, rotation, q, posture=q)
@@ -175,7 +175,7 @@ def test_a_batch_does_not_influence_its_members():
 
 def test_nearly_half_a_turn_away_converges():
     arm = ArmKinematics("right")
-    q = np.array(yumi.PRESS_START_CONFIGURATION)
+    q = np.array(yumi.TABLE_CONFIGURATION)
     position, rotation = arm.forward(q)
     # The last axis is the tool's z axis and can turn back that far.
     turned = rotation @ frames.rotation_about(2, -0.999 * np.pi)
@@ -186,7 +186,7 @@ def test_nearly_half_a_turn_away_converges():
 
 def test_an_unreachable_pose_is_reported():
     arm = ArmKinematics("right")
-    result = arm.inverse((2.0, 0.0, 0.3), frames.HAND_DOWN, yumi.PRESS_START_CONFIGURATION)
+    result = arm.inverse((2.0, 0.0, 0.3), frames.HAND_DOWN, yumi.TABLE_CONFIGURATION)
     with pytest.raises(KinematicsError, match="cannot be reached"):
         kinematics.require_converged(result)
 
@@ -230,7 +230,7 @@ def test_the_tasks_hold_the_hand_straight_down():
 
 def test_a_warm_start_is_fast_enough_to_run_at_every_step():
     arm = ArmKinematics("right")
-    q = np.tile(yumi.PRESS_START_CONFIGURATION, (25, 1))
+    q = np.tile(yumi.TABLE_CONFIGURATION, (25, 1))
     position, rotation = arm.forward(q)
     arm.inverse(position + 0.01, rotation, q, posture=q)
     spent = []

@@ -74,7 +74,7 @@ def test_bad_limits_are_refused_in_words():
 def test_home_and_start_lie_inside_every_profile():
     for name in limits.PROFILES:
         profile = limits.profile(name)
-        for q in (*yumi.HOME.values(), yumi.PRESS_START_CONFIGURATION):
+        for q in (*yumi.HOME.values(), yumi.TABLE_CONFIGURATION):
             assert np.all(q > profile.position_lower)
             assert np.all(q < profile.position_upper)
 

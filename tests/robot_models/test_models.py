@@ -136,7 +136,7 @@ def test_options_change_what_they_say():
     assert fast.geom_contype.all()
     moved = mjcf.build_robot(base_position=tuple(frames.BASE_IN_WORLD)).compile()
     data = mujoco.MjData(moved)
-    data.qpos[:7] = yumi.PRESS_START_CONFIGURATION
+    data.qpos[:7] = yumi.TABLE_CONFIGURATION
     mujoco.mj_forward(moved, data)
     np.testing.assert_allclose(data.site("tool0_r").xpos, (-0.009, -0.1345, 0.270), atol=1e-9)
     with pytest.raises(ConfigurationError, match="hooked, straight"):
@@ -162,7 +162,7 @@ def test_urdf_loads_in_mujoco_and_collides_in_pinocchio():
     assert geometry.ngeoms == reference.ngeom
     # Every collision shape is at the same place in both models.
     data, geometry_data = plain.createData(), geometry.createData()
-    q = np.concatenate([yumi.PRESS_START_CONFIGURATION, [0.014, 0.014]])
+    q = np.concatenate([yumi.TABLE_CONFIGURATION, [0.014, 0.014]])
     pinocchio.updateGeometryPlacements(plain, data, geometry, geometry_data, q)
     theirs = np.array([pose.translation for pose in geometry_data.oMg])
     ours = mujoco.MjData(reference)
@@ -177,7 +177,7 @@ def test_mink_solves_on_the_model():
     model = mjcf.build_robot(left_arm="absent", visual=False).compile()
     configuration = mink.Configuration(model)
     q = np.zeros(model.nq)
-    q[:7] = yumi.PRESS_START_CONFIGURATION
+    q[:7] = yumi.TABLE_CONFIGURATION
     configuration.update(q)
     target = frames.world_to_base((-0.015, 0.120, 0.200))
     task = mink.FrameTask("tool0_r", "site", position_cost=1.0, orientation_cost=1.0)
@@ -205,7 +205,7 @@ def test_fingers_point_and_open_as_the_paper_has_them():
     """Hand down: fingers open along world y, the +y one has a hook towards the other."""
     model = mjcf.build_robot().compile()
     data = mujoco.MjData(model)
-    data.qpos[:7] = yumi.PRESS_START_CONFIGURATION
+    data.qpos[:7] = yumi.TABLE_CONFIGURATION
     data.qpos[7:9] = 0.014
     mujoco.mj_forward(model, data)
     flange = data.site("tool0_r").xpos
@@ -256,18 +256,18 @@ def test_servos_are_the_parameters(servoed):
 
 def test_the_servoed_arm_holds_still_against_gravity(servoed):
     data = mujoco.MjData(servoed)
-    data.qpos[:7] = data.ctrl[:7] = yumi.PRESS_START_CONFIGURATION
+    data.qpos[:7] = data.ctrl[:7] = yumi.TABLE_CONFIGURATION
     data.qpos[7:9] = data.ctrl[7] = 0.014
     for _ in range(250):
         mujoco.mj_step(servoed, data)
-    assert np.abs(data.qpos[:7] - yumi.PRESS_START_CONFIGURATION).max() < 1e-6
+    assert np.abs(data.qpos[:7] - yumi.TABLE_CONFIGURATION).max() < 1e-6
     assert data.ncon == 0
 
 
 def test_a_step_is_followed_without_overshoot(servoed):
     """Critical damping: the hand joints come within friction's reach and never far beyond."""
     data = mujoco.MjData(servoed)
-    goal = np.array(yumi.PRESS_START_CONFIGURATION)
+    goal = np.array(yumi.TABLE_CONFIGURATION)
     data.qpos[:7] = goal
     data.qpos[7:9] = data.ctrl[7] = 0.014
     goal = goal + 0.01
@@ -283,7 +283,7 @@ def test_a_step_is_followed_without_overshoot(servoed):
 
 def test_fingers_move_together_at_the_grippers_speed(servoed):
     data = mujoco.MjData(servoed)
-    data.qpos[:7] = data.ctrl[:7] = yumi.PRESS_START_CONFIGURATION
+    data.qpos[:7] = data.ctrl[:7] = yumi.TABLE_CONFIGURATION
     data.qpos[7:9] = 0.010
     data.ctrl[7] = 0.024
     fastest = apart = 0.0

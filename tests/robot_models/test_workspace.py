@@ -9,7 +9,7 @@ import pytest
 from skewmi.robot_models import frames, mjcf, start_search, yumi
 from skewmi.robot_models.kinematics import ArmKinematics
 
-START = np.array(yumi.PRESS_START_CONFIGURATION)
+START = np.array(yumi.TABLE_CONFIGURATION)
 STEP = 0.015
 """Largest hand step of the task, m."""
 
@@ -17,8 +17,8 @@ STEP = 0.015
 def sweep() -> tuple[np.ndarray, np.ndarray]:
     """Targets through the whole box in steps the task can make, from the start, each column up
     and down, row after row. Shape (n, 3), base frame; and the start position."""
-    low, high = np.array(start_search.PRESS_BOX_LOW_W), np.array(start_search.PRESS_BOX_HIGH_W)
-    start = np.array(start_search.PRESS_START_POSITION_W)
+    low, high = np.array(start_search.TABLE_ROOM.low), np.array(start_search.TABLE_ROOM.high)
+    start = np.array(start_search.TABLE_ROOM.start)
     counts = np.ceil((high - low) / STEP).astype(int) + 1
     axes = [np.linspace(low[i], high[i], counts[i]) for i in range(3)]
     waypoints = []
@@ -46,7 +46,7 @@ def tour():
 def test_the_start_is_the_tasks_start():
     position, rotation = ArmKinematics("right").forward(START)
     np.testing.assert_allclose(
-        frames.base_to_world(position), start_search.PRESS_START_POSITION_W, atol=1e-9
+        frames.base_to_world(position), start_search.TABLE_ROOM.start, atol=1e-9
     )
     np.testing.assert_allclose(rotation, frames.HAND_DOWN, atol=1e-9)
 
@@ -71,8 +71,8 @@ def test_a_point_has_one_configuration_whatever_the_way_there():
     """The posture undoes the drift along the redundant direction, so the elbow stays put."""
     arm = ArmKinematics("right")
     generator = np.random.default_rng(6)
-    low, high = start_search.PRESS_BOX_LOW_W, start_search.PRESS_BOX_HIGH_W
-    start = frames.world_to_base(start_search.PRESS_START_POSITION_W)
+    low, high = start_search.TABLE_ROOM.low, start_search.TABLE_ROOM.high
+    start = frames.world_to_base(start_search.TABLE_ROOM.start)
     walkers, position = np.tile(START, (16, 1)), np.tile(start, (16, 1))
     for _ in range(300):
         position = position + generator.uniform(-STEP, STEP, position.shape)

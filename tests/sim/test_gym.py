@@ -37,7 +37,7 @@ def equal(first: Any, second: Any) -> None:
 
 
 def test_every_task_is_registered() -> None:
-    assert set(gym_envs.IDS.values()) == set(tasks.TASKS)
+    assert set(gym_envs.IDS.values()) == set(tasks.names())
     gym_envs.register()  # again, without complaint
     for name in IDS:
         assert gymnasium.spec(name).vector_entry_point is not None
@@ -130,7 +130,7 @@ def test_goal_and_observation_name_their_fields() -> None:
     }
 
 
-@pytest.mark.parametrize("task", tasks.TASKS)
+@pytest.mark.parametrize("task", tasks.names())
 @settings(max_examples=50)
 @given(seed=st.integers(0, 2**32))
 def test_default_goal_is_the_reward_region(task: str, seed: int) -> None:

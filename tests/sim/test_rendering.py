@@ -10,15 +10,16 @@ import pytest
 from PIL import Image
 
 from skewmi.errors import ConfigurationError, NotFoundError
-from skewmi.sim.arm.scene import OpenPressCloseScene
+from skewmi.sim.arm.scene import ArmScene
 from skewmi.sim.rendering import Renderer, contact_sheet, label, write_film, write_picture
+from skewmi.sim.tasks.open_press_close.definition import ARM
 
 RED = np.full((30, 40, 3), (200, 0, 0), dtype=np.uint8)
 BLUE = np.full((30, 40, 3), (0, 0, 200), dtype=np.uint8)
 
 
 def test_every_camera_shows_what_moves() -> None:
-    scene = OpenPressCloseScene()
+    scene = ArmScene(ARM)
     data = mujoco.MjData(scene.model)
     try:
         renderer = Renderer(scene.model, width=160, height=120)
@@ -28,7 +29,7 @@ def test_every_camera_shows_what_moves() -> None:
         for camera in ("overview", "side", "front", "close"):
             scene.reset(data)
             shut = renderer.draw(data, camera)
-            data.qpos[scene.lid_qpos] = 1.5
+            data.qpos[scene.scene_qpos[0]] = 1.5
             opened = renderer.draw(data, camera)
             assert shut.shape == (120, 160, 3)
             assert np.mean(np.any(shut != opened, axis=-1)) > 0.002, camera

@@ -22,7 +22,7 @@ RANDOMISED: dict[str, dict[str, object]] = {
 """Options with which resets differ; a task that is not here is not tested, which fails below."""
 
 
-@pytest.fixture(scope="module", params=tasks.TASKS)
+@pytest.fixture(scope="module", params=tasks.names())
 def task(request: pytest.FixtureRequest) -> str:
     name: str = request.param
     return name
@@ -268,4 +268,4 @@ def test_an_unknown_task_is_refused_with_those_that_exist() -> None:
 
 
 def test_the_suite_knows_every_task() -> None:
-    assert set(RANDOMISED) == set(tasks.TASKS)
+    assert set(RANDOMISED) == set(tasks.names())

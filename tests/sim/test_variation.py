@@ -1,4 +1,4 @@
-"""A twin changes the simulation of OpenPressClose as its file says, and nothing else."""
+"""A variation changes the simulation of OpenPressClose as its file says, and nothing else."""
 
 from __future__ import annotations
 
@@ -13,19 +13,20 @@ from scripted_open_press_close import ScriptedOpenPressClose
 from skewmi.errors import ConfigurationError
 from skewmi.policy_io import first_success_step
 from skewmi.sim import tasks
-from skewmi.sim.arm.batch import OpenPressCloseBatch
-from skewmi.sim.variation import KEYS, Twin
+from skewmi.sim.arm.batch import ArmBatch
+from skewmi.sim.tasks.open_press_close.definition import ARM
+from skewmi.sim.variation import NOMINAL
 
+VARIATIONS = ARM.variations
+KEYS = {key.name: key for key in VARIATIONS.keys}
 N = 3
 
 
-def make(
-    twin: object = None, *, seed: int = 0, threads: int = 1, n: int = N
-) -> OpenPressCloseBatch:
-    return OpenPressCloseBatch(n, num_threads=threads, seed=seed, twin=twin)
+def make(variation: object = None, *, seed: int = 0, threads: int = 1, n: int = N) -> ArmBatch:
+    return ArmBatch(ARM, n, num_threads=threads, seed=seed, variation=variation)
 
 
-def play(env: OpenPressCloseBatch, steps: int, seed: int | None = None) -> np.ndarray:
+def play(env: ArmBatch, steps: int, seed: int | None = None) -> np.ndarray:
     """Observations under actions that touch the lid. Shape (steps + 1, n, observation_dim)."""
     rng = np.random.default_rng(5)
     seen = [env.reset(seed)]
@@ -40,18 +41,18 @@ def nominal_model() -> mujoco.MjModel:
     return make(n=1).scene.physics_model
 
 
-def test_the_nominal_twin_changes_no_bit_and_expands_no_field() -> None:
-    for twin in (Twin.nominal(), "{}"):
-        env = make(twin)
+def test_the_nominal_variation_changes_no_bit_and_expands_no_field() -> None:
+    for variation in (NOMINAL, "{}"):
+        env = make(variation)
         np.testing.assert_array_equal(play(env, 15), play(make(), 15))
-        assert env.twin_sample is None
+        assert env.variation_sample is None
         assert list(env.random_state()) == ["generator"]
         assert env.batch.expanded("body_pos") is None
 
 
 def test_values_that_equal_the_nominal_ones_change_no_bit() -> None:
     lid_mass = float(nominal_model().body("lid").mass[0])
-    twin = Twin.parse(
+    variation = VARIATIONS.parse(
         "servo: {kp_scale: 1, kd_scale: 1, frictionloss_scale: 1, armature_scale: 1, delay_ms: 0}\n"
         "lid: {frictionloss: 0.12, damping: 0.02, mass: " + repr(lid_mass) + "}\n"
         "button: {frictionloss: 3.0, travel: 0.03}\n"
@@ -59,12 +60,12 @@ def test_values_that_equal_the_nominal_ones_change_no_bit() -> None:
         "sensors: {joint_noise: 0, lid_bias_deg: 0, lid_noise_deg: 0, button_noise: 0}\n"
         "gripper: {opening_error: 0}\n"
     )
-    np.testing.assert_array_equal(play(make(twin), 20), play(make(), 20))
+    np.testing.assert_array_equal(play(make(variation), 20), play(make(), 20))
 
 
-def test_starts_are_those_of_the_nominal_twin() -> None:
-    def commanded(twin: str | None) -> np.ndarray:
-        env = make(twin, seed=4)
+def test_starts_are_those_of_the_nominal_variation() -> None:
+    def commanded(variation: str | None) -> np.ndarray:
+        env = make(variation, seed=4)
         env.reset()
         return env.command()[0]
 
@@ -76,7 +77,7 @@ def test_the_seed_decides_everything_and_threads_nothing() -> None:
     first = play(make("randomised", threads=1), 20, seed=3)
     np.testing.assert_array_equal(play(make("randomised", threads=threads), 20, seed=3), first)
     assert not np.array_equal(play(make("randomised"), 20, seed=4), first)
-    content = json.loads(Twin.load("randomised").to_json())
+    content = json.loads(VARIATIONS.load("randomised").to_json())
     assert not np.array_equal(play(make(json.dumps(content | {"seed": 1})), 20, seed=3), first)
 
 
@@ -85,7 +86,7 @@ def test_each_reset_draws_anew_and_within_the_ranges() -> None:
     drawn = []
     for _ in range(4):
         env.reset()
-        drawn.append(env.twin_sample.values["lid.frictionloss"])
+        drawn.append(env.variation_sample.values["lid.frictionloss"])
         applied = env.batch.expanded("dof_frictionloss")
         dof = int(env.scene.physics_model.joint("lid_hinge").dofadr[0])
         np.testing.assert_array_equal(applied[:, dof], drawn[-1])
@@ -151,7 +152,7 @@ def test_a_key_changes_its_model_fields_and_no_others(key: str) -> None:
     section, _, name = key.partition(".")
     value = {"button.travel": 0.02, "lid.mass": 0.2}.get(key, 0.6 * KEYS[key].high)
     env = make(json.dumps({section: {name: value}}), n=1)
-    assert (env.scene.lid_qpos, env.scene.button_qpos) == (_LID, _BUTTON)
+    assert env.scene.scene_qpos.tolist() == [_LID, _BUTTON]
     env.reset()
     model, base = env.batch.get_model(0), nominal_model()
     expected = {field: np.array(getattr(base, field)) for field in _WRITTEN}
@@ -170,8 +171,8 @@ def test_a_key_changes_its_model_fields_and_no_others(key: str) -> None:
 
 
 def test_a_moved_box_is_hit_where_it_is() -> None:
-    twin = "{box_pose: {x: 0.002, y: -0.003, yaw_deg: 4}, lid: {mass: 0.15}}"
-    env = make(twin, n=1)
+    variation = "{box_pose: {x: 0.002, y: -0.003, yaw_deg: 4}, lid: {mass: 0.15}}"
+    env = make(variation, n=1)
     env.reset()
     model = env.batch.get_model(0)
     data = mujoco.MjData(model)
@@ -213,10 +214,10 @@ def test_a_late_servo_lags_behind() -> None:
 
 
 def test_sensor_errors_are_seen_but_are_not_there() -> None:
-    twin = (
+    variation = (
         "{sensors: {joint_noise: 0.001, lid_bias_deg: 5, lid_noise_deg: 0.5, button_noise: 0.001}}"
     )
-    env = make(twin, n=200)
+    env = make(variation, n=200)
     truth = make(n=200).reset(6)
     error = env.reset(6) - truth
     assert np.degrees(error[:, 4].mean()) == pytest.approx(5.0, abs=0.15)
@@ -226,7 +227,7 @@ def test_sensor_errors_are_seen_but_are_not_there() -> None:
     assert 3e-4 < np.median(hand) < 2e-3
     # Sensed 5 deg open, which would not count as shut; true lid at 0 counts.
     qpos = env.batch.bind("qpos")
-    qpos[:, env.scene.button_qpos] = 0.02
+    qpos[:, env.scene.scene_qpos[1]] = 0.02
     result = env.step(np.zeros((200, 3)))
     assert np.all(result.success)
     assert np.all(result.observation[:, 4] > 0.035)
@@ -240,10 +241,10 @@ def test_the_fingers_are_off_by_their_error() -> None:
     assert opening[2] - opening[3] == pytest.approx(-0.002, abs=1e-4)
 
 
-def test_a_task_without_a_robot_has_no_twin() -> None:
-    assert tasks.make_batch("open_press_close", 1, twin="randomised").num_envs == 1
-    with pytest.raises(ConfigurationError, match="twin"):
-        tasks.make_batch("point_maze", 1, twin="randomised")
+def test_a_task_without_a_robot_has_no_variation() -> None:
+    assert tasks.make_batch("open_press_close", 1, variation="randomised").num_envs == 1
+    with pytest.raises(ConfigurationError, match="variation"):
+        tasks.make_batch("point_maze", 1, variation="randomised")
 
 
 def test_the_scripted_motion_survives_the_documented_randomisation() -> None:
@@ -257,4 +258,4 @@ def test_the_scripted_motion_survives_the_documented_randomisation() -> None:
         inside.append(result.success)
     success = first_success_step(env.layout, np.array(inside)) > 0
     # It knows nothing of late servos, which cost it more time than it has in some episodes.
-    assert success.mean() >= 0.4, env.twin_sample
+    assert success.mean() >= 0.4, env.variation_sample

@@ -1,4 +1,4 @@
-"""Twin files: what is read, what is refused, what is drawn."""
+"""Variation files: what is read, what is refused, what is drawn."""
 
 from __future__ import annotations
 
@@ -10,8 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skewmi.errors import ConfigurationError, NotFoundError
-from skewmi.sim import variation as twins
-from skewmi.sim.variation import KEYS, Twin
+from skewmi.sim.tasks.open_press_close.definition import ARM
+from skewmi.sim.variation import NOMINAL, ModelVariation
+
+VARIATIONS = ARM.variations
+KEYS = {key.name: key for key in VARIATIONS.keys}
 
 
 def _values(key: str) -> st.SearchStrategy:
@@ -22,37 +25,39 @@ def _values(key: str) -> st.SearchStrategy:
 
 
 @st.composite
-def _twins(draw: st.DrawFn) -> Twin:
+def _variations(draw: st.DrawFn) -> ModelVariation:
     content: dict = {"seed": draw(st.integers(0, 9))}
     for key in draw(st.sets(st.sampled_from(list(KEYS)))):
         section, _, name = key.partition(".")
         content.setdefault(section, {})[name] = draw(_values(key))
-    return Twin.parse(str(content))
+    return VARIATIONS.parse(str(content))
 
 
-@given(_twins())
-def test_json_reads_back_as_the_same_twin(twin: Twin) -> None:
-    assert Twin.parse(twin.to_json()) == twin
-    assert twins.resolve(twin.to_json()) == twin
+@given(_variations())
+def test_json_reads_back_as_the_same_variation(variation: ModelVariation) -> None:
+    assert VARIATIONS.parse(variation.to_json()) == variation
+    assert VARIATIONS.resolve(variation.to_json()) == variation
 
 
-@given(_twins(), st.integers(0, 2**32 - 1))
-def test_samples_lie_in_their_ranges_and_depend_on_the_seed_alone(twin: Twin, seed: int) -> None:
-    sample = twin.sample(np.random.default_rng(seed), 5)
-    again = twin.sample(np.random.default_rng(seed), 5)
-    assert list(sample.values) == [key for key, _ in twin.ranges]
-    for key, pairs in twin.ranges:
+@given(_variations(), st.integers(0, 2**32 - 1))
+def test_samples_lie_in_their_ranges_and_depend_on_the_seed_alone(
+    variation: ModelVariation, seed: int
+) -> None:
+    sample = variation.sample(np.random.default_rng(seed), 5)
+    again = variation.sample(np.random.default_rng(seed), 5)
+    assert list(sample.values) == [key.name for key, _ in variation.ranges]
+    for key, pairs in variation.ranges:
         low, high = np.array(pairs).T
-        drawn = sample.values[key]
-        assert drawn.shape == ((5,) if KEYS[key].size == 1 else (5, 7))
+        drawn = sample.values[key.name]
+        assert drawn.shape == ((5,) if key.size == 1 else (5, 7))
         assert np.all(drawn >= low)
         assert np.all(drawn <= high)
-        np.testing.assert_array_equal(drawn, again.values[key])
+        np.testing.assert_array_equal(drawn, again.values[key.name])
 
 
 def test_a_range_fills_its_width_and_differs_between_simulations_and_joints() -> None:
-    twin = Twin.parse("{servo: {kp_scale: [0.5, 1.5]}, lid: {mass: 0.2}}")
-    sample = twin.sample(np.random.default_rng(0), 400)
+    variation = VARIATIONS.parse("{servo: {kp_scale: [0.5, 1.5]}, lid: {mass: 0.2}}")
+    sample = variation.sample(np.random.default_rng(0), 400)
     scale = sample.values["servo.kp_scale"]
     assert len(np.unique(scale)) == 2800
     assert scale.mean() == pytest.approx(1.0, abs=0.02)
@@ -61,8 +66,8 @@ def test_a_range_fills_its_width_and_differs_between_simulations_and_joints() ->
 
 
 def test_seven_values_belong_to_the_joints_in_order() -> None:
-    twin = Twin.parse("servo: {kd_scale: [1, 1.1, 1.2, [0.5, 0.6], 1.4, 1.5, 1.6]}")
-    drawn = twin.sample(np.random.default_rng(0), 3).values["servo.kd_scale"]
+    variation = VARIATIONS.parse("servo: {kd_scale: [1, 1.1, 1.2, [0.5, 0.6], 1.4, 1.5, 1.6]}")
+    drawn = variation.sample(np.random.default_rng(0), 3).values["servo.kd_scale"]
     np.testing.assert_array_equal(drawn[:, [0, 1, 2, 4, 5, 6]], [[1, 1.1, 1.2, 1.4, 1.5, 1.6]] * 3)
     assert np.all((drawn[:, 3] >= 0.5) & (drawn[:, 3] <= 0.6))
 
@@ -91,29 +96,29 @@ def test_what_is_wrong_is_said_in_one_line(tmp_path: Path, text: str, said: str)
     path = tmp_path / "robot.yaml"
     path.write_text(text)
     with pytest.raises(ConfigurationError) as error:
-        Twin.load(path)
+        VARIATIONS.load(path)
     assert said in str(error.value)
     assert str(path) in str(error.value)
     assert "\n" not in str(error.value)
 
 
 def test_a_missing_file_lists_what_is_bundled() -> None:
-    with pytest.raises(NotFoundError, match=r"no twin file nowhere\.yaml.*randomised"):
-        Twin.load("nowhere.yaml")
+    with pytest.raises(NotFoundError, match=r"no variation file nowhere\.yaml.*randomised"):
+        VARIATIONS.load("nowhere.yaml")
     with pytest.raises(ConfigurationError, match="randomised"):
-        twins.resolve(3)  # type: ignore[arg-type]
+        VARIATIONS.resolve(3)  # type: ignore[arg-type]
 
 
-def test_an_empty_file_is_the_nominal_twin() -> None:
+def test_an_empty_file_is_the_nominal_model() -> None:
     for text in ("", "{}", "lid:", "seed: 0"):
-        assert Twin.parse(text) == Twin.nominal()
-    assert Twin.nominal().is_nominal
+        assert VARIATIONS.parse(text) == NOMINAL
+    assert NOMINAL.is_nominal
 
 
 def test_every_bundled_file_is_valid_and_lets_the_lid_stay_where_it_is_left() -> None:
-    assert "randomised" in twins.bundled()
-    for name in twins.bundled():
-        twin = Twin.load(name)
-        assert not twin.is_nominal
-        friction = dict(twin.ranges).get("lid.frictionloss")
+    assert "randomised" in VARIATIONS.bundled()
+    for name in VARIATIONS.bundled():
+        variation = VARIATIONS.load(name)
+        assert not variation.is_nominal
+        friction = {key.name: r for key, r in variation.ranges}.get("lid.frictionloss")
         assert friction is None or friction[0][0] >= 0.10

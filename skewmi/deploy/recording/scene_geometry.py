@@ -7,6 +7,7 @@ the boxes and moves them by the recorded scene joints.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -48,6 +49,8 @@ class SceneJoint:
     """A point of the axis in world, m."""
     axis: Vector
     """Unit vector in world."""
+    field: str = ""
+    """Observation field that the joint's position is; empty if the task does not observe it."""
 
 
 @dataclass(frozen=True)
@@ -78,12 +81,16 @@ class SceneGeometry:
             raise ConfigurationError(f"not a scene description: {error}") from error
 
     @staticmethod
-    def from_model(model: mujoco.MjModel) -> SceneGeometry:
+    def from_model(model: mujoco.MjModel, fields: Mapping[str, str] | None = None) -> SceneGeometry:
         """Everything in a compiled model that is not the robot.
 
         Shapes that are no boxes are described by the box around them; infinite planes are left
         out. A part moves with the nearest hinge or slide above it: joints in a chain are not
         described.
+
+        Args:
+            model: Robot and scene.
+            fields: Observation field of each joint of the scene, by the joint's name.
         """
         data = mujoco.MjData(model)
         data.qpos[:] = model.qpos0
@@ -110,6 +117,7 @@ class SceneGeometry:
                     "hinge" if hinge else "slide",
                     tuple(map(float, data.xanchor[joint])),
                     tuple(map(float, data.xaxis[joint])),
+                    (fields or {}).get(name, ""),
                 )
             parts.append(_part(model, data, geom, joint))
         return SceneGeometry(tuple(parts), tuple(joints.values()))

@@ -44,6 +44,19 @@ class RobotDescription:
     scene: str = ""
     """Shapes of the scene, as `SceneGeometry.to_json`; only in answers to requests for it."""
 
+    @property
+    def scene_fields(self) -> dict[str, str]:
+        """Observation field of each joint that the scene states tell; only with the scene.
+
+        Raises:
+            TransportError: The scene is not a description of one.
+        """
+        try:
+            joints = json.loads(self.scene)["joints"] if self.scene else []
+            return {joint["name"]: joint["field"] for joint in joints if joint.get("field")}
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise TransportError(f"the robot server's scene cannot be read ({error})") from error
+
     def to_json(self) -> str:
         """One JSON object; floats at full precision."""
         return json.dumps(asdict(self), sort_keys=True)

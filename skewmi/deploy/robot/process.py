@@ -18,7 +18,7 @@ _END_TIMEOUT_S = 10.0
 
 @contextmanager
 def simulated_robot_process(
-    task: str, limits: str, *, lock_step: bool, twin: str | None = None
+    task: str, limits: str, *, lock_step: bool, variation: str | None = None
 ) -> Iterator[str]:
     """Run `skewmi robot --backend sim` on a free port until the block is left.
 
@@ -28,7 +28,7 @@ def simulated_robot_process(
         task: Whose scene.
         limits: Name of the limit profile that it enforces.
         lock_step: See `skewmi robot --help`.
-        twin: How robot and scene differ from the nominal ones; None if they do not.
+        variation: How robot and scene differ from the nominal ones; None if they do not.
 
     Yields:
         The Zenoh locator that it listens on.
@@ -40,7 +40,7 @@ def simulated_robot_process(
     command = [sys.executable, "-m", "skewmi.cli.main", "robot", "--backend", "sim"]
     command += ["--task", task, "--limits", limits, "--listen", locator]
     command += ["--json", "--end-with-input", *(["--lock-step"] if lock_step else [])]
-    command += [] if twin is None else ["--twin", twin]
+    command += [] if variation is None else ["--variation", variation]
     with TemporaryFile() as words:
         child = subprocess.Popen(
             command,

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skewmi.deploy.robot.backend import fresh_tick
-from skewmi.deploy.robot.backends.mujoco.backend import SimTwin
+from skewmi.deploy.robot.backends.mujoco.backend import MujocoBackend
 from skewmi.deploy.robot.controller import LEASE_NS, RobotController
 from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.robot.server import RobotServer, ServerOptions
@@ -79,10 +79,11 @@ class SimulatedRobotOptions:
     """What a simulated robot is started with."""
 
     limits: JointLimits
-    task: str = "open_press_close"
+    task: str | None = None
+    """Whose scene; None for that of the registry's default task."""
     lock_step: bool = False
-    twin: str | None = None
-    """How robot and scene differ from the nominal ones, see `SimTwin`."""
+    variation: str | None = None
+    """How robot and scene differ from the nominal ones, see `MujocoBackend`."""
     start_configuration: tuple[float, ...] | None = None
     """Where the arm is at first, chain order, rad; the task's start if not given."""
 
@@ -102,15 +103,15 @@ def run_simulated_robot(
         on_ready: Called once everything is declared.
 
     Raises:
-        NotFoundError: No such task or twin.
-        ConfigurationError: The twin is not valid.
+        NotFoundError: No such task or variation.
+        ConfigurationError: The variation is not valid.
         TransportError: The port is in use.
     """
     start = options.start_configuration
     # The port first: a taken one is reported before the scene is compiled.
     with Link.open(config, NODE_NAME) as link:
         configuration = None if start is None else np.array(start)
-        backend = SimTwin(options.task, configuration, options.twin)
+        backend = MujocoBackend(options.task, configuration, options.variation)
         assert backend.layout.workspace is not None
         rules = ValidationRules(joint_names=backend.joint_names, grid_ns=GRID_NS)
         check = limit_check(options.limits, backend.layout.workspace)

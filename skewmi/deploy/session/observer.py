@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,8 +23,8 @@ MAX_SCENE_AGE_S = 0.200
 LOCK_STEP_PATIENCE_S = 30.0
 """In lock-step nothing is ever old; a robot server that says nothing for so long is gone."""
 
-SCENE_FIELDS = {"lid_hinge": "lid_angle", "button_slide": "button_depth"}
-"""Name of a joint in the scene states -> observation field that it is."""
+_ARM_FIELDS = {"hand_x", "hand_y", "hand_z", "gripper", TIME_FIELD}
+"""Observation fields that joint states and clock tell; the rest is the scene's."""
 
 _FIRST_STATES = 5
 """Joint states that may come before the first scene state."""
@@ -64,6 +64,7 @@ class Observer:
         layout: Of the policy.
         joint_names: The arm's joints in chain order.
         finger_name: The joint whose position is the gripper's opening.
+        scene_fields: Observation field of each joint in the scene states, by the joint's name.
         lock_step: Take every state in order, however old, instead of the newest.
         state_period_s: How often the robot server publishes, s.
         on_repeat: Called when the robot server repeats a state because in lock-step time stands
@@ -76,6 +77,7 @@ class Observer:
         layout: PolicyLayout,
         joint_names: tuple[str, ...],
         finger_name: str,
+        scene_fields: Mapping[str, str],
         *,
         lock_step: bool,
         state_period_s: float,
@@ -100,7 +102,8 @@ class Observer:
         self._scene_values: dict[str, float] = {}
         self._scene_received_ns = 0
         self._scene_stamp_ns = 0
-        self._scene_fields = set(layout.observation_names) & set(SCENE_FIELDS.values())
+        self._fields = scene_fields
+        self._scene_fields = set(layout.observation_names) - _ARM_FIELDS
         self._order: tuple[tuple[str, ...], list[int], int] | None = None
 
     def next_state(self) -> ArmState:
@@ -257,5 +260,5 @@ class Observer:
             message = self._scene_queue.pop(0)
             self._scene_stamp_ns = message.stamp_ns
             for name, value in zip(message.names, message.position, strict=True):
-                if name in SCENE_FIELDS:
-                    self._scene_values[SCENE_FIELDS[name]] = float(value)
+                if name in self._fields:
+                    self._scene_values[self._fields[name]] = float(value)

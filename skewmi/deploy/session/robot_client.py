@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 
-from skewmi.deploy.robot.description import RobotDescription
+from skewmi.deploy.robot.description import SCENE_REQUEST, RobotDescription
 from skewmi.deploy.robot.states import ServerState
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.messages import (
@@ -58,13 +58,17 @@ class RobotClient:
     def _gids(self) -> bytes:
         return self._commands.gid + self._gripper.gid
 
-    def describe(self) -> RobotDescription:
+    def describe(self, *, with_scene: bool = False) -> RobotDescription:
         """What the robot server is and does now.
+
+        Args:
+            with_scene: Whether to ask for the scene, too.
 
         Raises:
             TransportError: It does not answer, or not in our words.
         """
-        return RobotDescription.from_json(self._call(topics.YUMI_DESCRIBE).message)
+        extra = SCENE_REQUEST if with_scene else b""
+        return RobotDescription.from_json(self._call(topics.YUMI_DESCRIBE, extra).message)
 
     def reset_scene(self, seed: int) -> None:
         """Put a simulated scene and its arm back to the start of an episode."""

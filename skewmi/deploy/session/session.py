@@ -88,7 +88,7 @@ class Session:
         self._machine = StateMachine(SESSION_TABLE, self._on_transition)
         limits = planning_limits(options.limits, options.speed)
         self._robot = RobotClient(link, dry_run=options.dry_run)
-        description = self._robot.describe()
+        description = self._robot.describe(with_scene=True)
         if description.lock_step != options.lock_step:
             pace = {True: "in lock-step", False: "in real time"}
             raise ConfigurationError(
@@ -112,6 +112,7 @@ class Session:
             policy.layout,
             yumi.joint_names("right"),
             yumi.finger_names("right")[0],
+            description.scene_fields,
             lock_step=options.lock_step,
             state_period_s=description.state_period_ns / 1e9,
             on_repeat=self._on_repeat,

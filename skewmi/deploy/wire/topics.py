@@ -41,7 +41,7 @@ YUMI_GRIPPER = Topic("/yumi/right/gripper", JOINT_STATE, command=True)
 YUMI_JOINT_STATES = Topic("/yumi/joint_states", JOINT_STATE)
 """Measured arm joints (rad, rad/s, N m) and finger (m)."""
 YUMI_SCENE_STATES = Topic("/yumi/scene_states", JOINT_STATE)
-"""Measured scene joints: lid hinge (rad) and button slide (m)."""
+"""Measured joints of the scene: hinges (rad) and slides (m), as the task names them."""
 YUMI_STATUS = Topic("/yumi/status", DIAGNOSTIC_ARRAY)
 """State machines of robot server and session: each transition with its reason."""
 

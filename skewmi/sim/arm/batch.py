@@ -1,4 +1,4 @@
-"""OpenPressClose as a batched environment on `mujoco.batch`."""
+"""Tasks with an arm as batched environments on `mujoco.batch`."""
 
 from __future__ import annotations
 
@@ -20,37 +20,30 @@ from skewmi.policy_io import (
     assemble_observation,
     inside_region,
 )
-from skewmi.robot_models import servo
-from skewmi.sim.arm import reach
-from skewmi.sim.arm.batch_variation import BatchTwin
+from skewmi.sim.arm import definition, reach
+from skewmi.sim.arm.batch_variation import BatchVariation
 from skewmi.sim.arm.command_path import CommandPath
 from skewmi.sim.arm.diagnostics import Diagnostics
 from skewmi.sim.arm.randomization import Randomization
-from skewmi.sim.arm.scene import (
-    SERVO,
-    OpenPressCloseScene,
-    hand_rotation,
-    workspace_of,
-)
+from skewmi.sim.arm.scene import ArmScene, hand_rotation, workspace_of
+from skewmi.sim.arm.task import ArmTask
 from skewmi.sim.checks import checked_action, checked_num_envs
-from skewmi.sim.tasks.open_press_close import definition
-from skewmi.sim.variation import Twin, TwinSample, resolve
-
-layout = definition.make_layout
+from skewmi.sim.variation import ModelVariation, VariationSample
 
 
-class OpenPressCloseBatch:
-    """`num_envs` robots with a box each; satisfies `BatchEnv`.
+class ArmBatch:
+    """`num_envs` robots with a scene each; satisfies `BatchEnv`.
 
     A control step is the deployed command path, see `CommandPath`.
 
     Attributes:
+        task: As given.
         num_envs, layout: See `BatchEnv`.
         scene: Models and addresses.
         batch: The simulations; runs `scene.physics_model`.
-        servo_targets: Controls at every substep of the last step, delayed as the twin says,
+        servo_targets: Controls at every substep of the last step, delayed as the variation says,
             overwritten by the next. Shape (num_envs, substeps, nu).
-        twin: How the simulations differ from the nominal one.
+        variation: How the simulations differ from the nominal one.
     """
 
     num_envs: int
@@ -58,6 +51,7 @@ class OpenPressCloseBatch:
 
     def __init__(
         self,
+        task: ArmTask,
         num_envs: int,
         *,
         num_threads: int = 0,
@@ -65,53 +59,54 @@ class OpenPressCloseBatch:
         gripper_action: bool = False,
         time_input: bool = False,
         randomization: Randomization | None = None,
-        servo_parameters: servo.ServoParameters = SERVO,
-        twin: Twin | str | Path | None = None,
+        variation: ModelVariation | str | Path | None = None,
     ) -> None:
         """Make the environment; call `reset` before `step`.
 
         Args:
+            task: What stands before them, and when it is done.
             num_envs: How many robots.
             num_threads: Threads that step them, 0 for all cores. Results do not depend on it.
-            seed: Of the start positions and of the twin's values.
+            seed: Of the start positions and of the variation's values.
             gripper_action: Whether the fingers' speed is a fourth action.
             time_input: Whether the observation ends with step index / episode steps.
             randomization: What differs between episodes; the default varies the hand's start.
-            servo_parameters: Of the arm's servos.
-            twin: How robot and scene differ from the nominal ones: a twin, its file, or the name
-                of a bundled one. Its values are drawn at each reset from a stream of their own:
-                the start positions are those of the nominal twin. Reward and success are of the
-                true state; the observation is what its sensors say.
+            variation: How robot and scene differ from the nominal ones: a variation, its file, or
+                the name of a bundled one. Its values are drawn at each reset from a stream of
+                their own: the start positions are those of the nominal model. Reward and success
+                are of the true state; the observation is what its sensors say.
 
         Raises:
-            ConfigurationError: A number is out of its range, or the twin is not valid.
-            NotFoundError: There is no such twin file.
+            ConfigurationError: A number is out of its range, or the variation is not valid.
+            NotFoundError: There is no such variation file.
         """
         if num_threads < 0:
             raise ConfigurationError(
                 f"num_threads is {num_threads}; it must be 0 (all cores) or more"
             )
         self.num_envs = checked_num_envs(num_envs)
-        self.layout = definition.make_layout(gripper_action=gripper_action, time_input=time_input)
-        self.servo_parameters = servo_parameters
-        self.scene = OpenPressCloseScene(servo_parameters)
+        self.task = task
+        self.layout = task.layout(gripper_action=gripper_action, time_input=time_input)
+        self.scene = ArmScene(task)
         self.batch = Batch(self.scene.physics_model, self.num_envs, num_threads)
         self._qpos = self.batch.bind("qpos")
         self._workspace = workspace_of(self.layout)
         self._hand_rotation = hand_rotation(self._workspace)
         self._randomization = Randomization() if randomization is None else randomization
-        self.twin = resolve(twin)
-        # The nominal twin is no twin at all, so that it costs nothing.
-        self._twin = (
-            None if self.twin.is_nominal else BatchTwin(self.twin, self.scene, self.batch, seed)
+        self.variation = task.variations.resolve(variation)
+        # The nominal one is none at all, so that it costs nothing.
+        self._variation = (
+            None
+            if self.variation.is_nominal
+            else BatchVariation(self.variation, self.scene, self.batch, seed)
         )
         self._rng = np.random.default_rng(seed)
         self._step_index = -1
         self._hand_position_w = np.empty((self.num_envs, 3))
         self._command = CommandPath(self.layout, self.scene, self.num_envs)
-        # Without a twin the servos get what is commanded.
+        # Without a variation the servos get what is commanded.
         targets = self._command.targets
-        self.servo_targets = targets if self._twin is None else targets.copy()
+        self.servo_targets = targets if self._variation is None else targets.copy()
         steps = definition.SUBSTEPS
         sensors = self.scene.model.nsensordata
         self._part = {"sensordata": np.empty((self.num_envs, definition.WATCH_SUBSTEPS, sensors))}
@@ -127,13 +122,13 @@ class OpenPressCloseBatch:
         """
         if seed is not None:
             self._rng = np.random.default_rng(seed)
-            if self._twin is not None:
-                self._twin.seed(seed)
+            if self._variation is not None:
+                self._variation.seed(seed)
         starts = self._randomization.sample_starts(self.layout, self.num_envs, self._rng)
         qpos = self.scene.start_positions(self.layout, starts)
         controls = self._command.start(starts, qpos[:, self.scene.arm_qpos])
-        if self._twin is not None:
-            self._twin.start(qpos, controls)
+        if self._variation is not None:
+            self._variation.start(qpos, controls)
         self.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
         self._qpos[:] = qpos
         self.batch.bind("ctrl")[:] = controls
@@ -161,9 +156,9 @@ class OpenPressCloseBatch:
         self._command.move(
             values, self._hand_position_w, self._hand_position_w - self._hand_before_w
         )
-        if self._twin is not None:
-            self._twin.begin_step()
-            self._twin.delay(self._command.targets, self.servo_targets)
+        if self._variation is not None:
+            self._variation.begin_step()
+            self._variation.delay(self._command.targets, self.servo_targets)
         self._roll_out()
         self._check_physics()
         self._step_index += 1
@@ -185,8 +180,8 @@ class OpenPressCloseBatch:
             if begin:
                 before_w, hand_w = hand_w, self.scene.hand_pose(self._qpos)[0]
                 held = self._command.wait_for_hands(begin, hand_w, hand_w - before_w)
-                if held.size and self._twin is not None:
-                    self._twin.delay(self._command.targets, self.servo_targets)
+                if held.size and self._variation is not None:
+                    self._variation.delay(self._command.targets, self.servo_targets)
             part = slice(begin, begin + period)
             self.batch.rollout(
                 period, self.servo_targets[:, part], record=("sensordata",), out=self._part
@@ -205,7 +200,7 @@ class OpenPressCloseBatch:
         )
 
     def _read(self) -> None:
-        self._errors = None if self._twin is None else self._twin.sensor_errors()
+        self._errors = None if self._variation is None else self._variation.sensor_errors()
         measured = self._qpos
         if self._errors is not None:
             measured = measured.copy()
@@ -214,15 +209,14 @@ class OpenPressCloseBatch:
         self._hand_position_w, _ = self.scene.hand_pose(measured)
 
     def _observe(self) -> tuple[Array, Array]:
-        """What the sensors say, and the same with lid and button as they are."""
+        """What the sensors say, and the same with the scene as it is."""
         values: dict[str, Any] = self.scene.observation_values(self._qpos, self._hand_position_w)
         values[TIME_FIELD] = self._step_index / self.layout.episode_steps
         truth = assemble_observation(self.layout, values)
         if self._errors is None:
             return truth, truth
-        _, lid, button = self._errors
-        values["lid_angle"] = values["lid_angle"] + lid
-        values["button_depth"] = values["button_depth"] + button
+        for joint, error in zip(self.task.joints, self._errors[1].T, strict=True):
+            values[joint.field.name] = values[joint.field.name] + error
         return assemble_observation(self.layout, values), truth
 
     def compute_reward(self, state: Array) -> Array:
@@ -231,7 +225,7 @@ class OpenPressCloseBatch:
 
     def reachable(self, state: Array) -> NDArray[np.bool_]:
         """Whether the task can be in such states at all; see `reach.reachable`."""
-        return reach.reachable(self.layout, state)
+        return reach.reachable(self.task, self.layout, state)
 
     def diagnostics(self) -> Diagnostics:
         """Forces and tracking of the last step (zero forces after a reset)."""
@@ -251,9 +245,9 @@ class OpenPressCloseBatch:
         )
 
     @property
-    def twin_sample(self) -> TwinSample | None:
-        """What was drawn at the last reset; None for the nominal twin."""
-        return None if self._twin is None else self._twin.sample
+    def variation_sample(self) -> VariationSample | None:
+        """What was drawn at the last reset; None for the nominal model."""
+        return None if self._variation is None else self._variation.sample
 
     def command(self) -> tuple[Array, Array]:
         """What the arm is commanded to at the end of the last step.
@@ -266,8 +260,8 @@ class OpenPressCloseBatch:
     def random_state(self) -> dict[str, object]:
         """JSON-serialisable state of the random streams."""
         state: dict[str, object] = {"generator": self._rng.bit_generator.state}
-        if self._twin is not None:
-            state["twin"] = self._twin.random_state()
+        if self._variation is not None:
+            state["variation"] = self._variation.random_state()
         return state
 
     def set_random_state(self, state: dict[str, object]) -> None:
@@ -279,30 +273,8 @@ class OpenPressCloseBatch:
         try:
             rng = np.random.default_rng()
             rng.bit_generator.state = cast(Mapping[str, Any], state["generator"])
-            if self._twin is not None:
-                self._twin.set_random_state(cast(Mapping[str, Any], state["twin"]))
+            if self._variation is not None:
+                self._variation.set_random_state(cast(Mapping[str, Any], state["variation"]))
         except (KeyError, TypeError, ValueError) as error:
-            raise ConfigurationError(f"not a random state of open_press_close: {error}") from error
+            raise ConfigurationError(f"not a random state of {self.task.name}: {error}") from error
         self._rng = rng
-
-
-def make_batch(
-    num_envs: int,
-    *,
-    num_threads: int = 0,
-    seed: int = 0,
-    gripper_action: bool = False,
-    time_input: bool = False,
-    randomization: Randomization | None = None,
-    twin: Twin | str | Path | None = None,
-) -> OpenPressCloseBatch:
-    """Make the batched environment; arguments as `OpenPressCloseBatch`."""
-    return OpenPressCloseBatch(
-        num_envs,
-        num_threads=num_threads,
-        seed=seed,
-        gripper_action=gripper_action,
-        time_input=time_input,
-        randomization=randomization,
-        twin=twin,
-    )

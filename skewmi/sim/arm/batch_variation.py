@@ -1,4 +1,4 @@
-"""A twin at work in a batch: models that differ, late servos, sensors with errors."""
+"""A variation at work in a batch: models that differ, late servos, sensors with errors."""
 
 from __future__ import annotations
 
@@ -9,43 +9,38 @@ import numpy as np
 from mujoco.batch import Batch
 
 from skewmi.policy_io import Array
-from skewmi.sim.arm.model_fields import (
-    SENSOR_KEYS,
-    SensorErrors,
-    delay_substeps,
-    model_fields,
-    needs_set_const,
-    random_stream,
-)
-from skewmi.sim.arm.scene import OpenPressCloseScene
-from skewmi.sim.tasks.open_press_close.definition import SUBSTEPS
-from skewmi.sim.variation import Twin, TwinSample
+from skewmi.sim.arm.definition import SUBSTEPS
+from skewmi.sim.arm.model_fields import model_fields
+from skewmi.sim.arm.scene import ArmScene
+from skewmi.sim.arm.sensors import SensorErrors, delay_substeps, random_stream, sensors_err
+from skewmi.sim.arm.variation_keys import OPENING_ERROR
+from skewmi.sim.variation import ModelVariation, VariationSample
 
 
-class BatchTwin:
-    """Draws a twin's values for every simulation of a batch and applies them.
+class BatchVariation:
+    """Draws a variation's values for every simulation of a batch and applies them.
 
     Args:
-        twin: Not the nominal one.
+        variation: Not the nominal one.
         scene: Gives the nominal model and the addresses.
         batch: Of the scene's physics model.
         seed: Of the environment.
 
     Attributes:
-        twin: As given.
+        variation: As given.
         sample: Drawn at the last `start`.
     """
 
-    def __init__(self, twin: Twin, scene: OpenPressCloseScene, batch: Batch, seed: int) -> None:
-        self.twin = twin
-        self.sample = TwinSample(batch.nsim, {})
+    def __init__(self, variation: ModelVariation, scene: ArmScene, batch: Batch, seed: int) -> None:
+        self.variation = variation
+        self.sample = VariationSample(batch.nsim, {})
         self._scene, self._batch = scene, batch
-        self._ideal_sensors = not twin.has(*SENSOR_KEYS)
+        self._ideal_sensors = not sensors_err(variation, scene.task)
         self.seed(seed)
 
     def seed(self, seed: int) -> None:
         """Restart the random stream from the environment's seed."""
-        self._rng = random_stream(self.twin, seed)
+        self._rng = random_stream(self.variation, seed)
 
     def start(self, qpos: Array, controls: Array) -> None:
         """Draw new values; write them into the models and into the start of the episode.
@@ -55,14 +50,15 @@ class BatchTwin:
             controls: That hold it, changed. Shape (n, nu).
         """
         n = self._batch.nsim
-        self.sample = sample = self.twin.sample(self._rng, n)
-        fields = model_fields(self._scene.physics_model, sample)
-        for name, values in fields.items():
+        self.sample = sample = self.variation.sample(self._rng, n)
+        keys = self._scene.task.variations.keys
+        fields = model_fields(self._scene.physics_model, keys, sample)
+        for name, values in fields.values.items():
             self._batch.expand(name)[:] = values
-        if needs_set_const(fields):
+        if fields.needs_set_const:
             self._batch.set_const()
-        self._sensors = SensorErrors(sample)
-        self._opening_error = sample.get("gripper.opening_error")
+        self._sensors = SensorErrors(sample, self._scene.task)
+        self._opening_error = sample.get(OPENING_ERROR)
         qpos[:, self._scene.finger_qpos] += self._opening_error[:, None]
         controls[:, self._scene.finger_ctrl] += self._opening_error
         # The targets of the last step, then those of the one to come: row SUBSTEPS + k - delay
@@ -88,7 +84,7 @@ class BatchTwin:
         # Every row exists; "clip" only spares a buffer.
         np.take(flat, self._rows, axis=0, out=out, mode="clip")
 
-    def sensor_errors(self) -> tuple[Array, Array, Array] | None:
+    def sensor_errors(self) -> tuple[Array, Array] | None:
         """Errors of one reading, see `SensorErrors.draw`; None if every sensor is ideal."""
         return None if self._ideal_sensors else self._sensors.draw(self._rng)
 

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from skewmi.hand_command import integrate_command, remembered_stall, stalled
 from skewmi.policy_io import Array, PolicyLayout
-from skewmi.sim.arm.scene import OpenPressCloseScene, workspace_of
-from skewmi.sim.tasks.open_press_close import definition
+from skewmi.sim.arm import definition
+from skewmi.sim.arm.scene import ArmScene, workspace_of
 
 
 class CommandPath:
@@ -31,7 +31,7 @@ class CommandPath:
         targets: Controls at every substep of the step. Shape (n, substeps, nu).
     """
 
-    def __init__(self, layout: PolicyLayout, scene: OpenPressCloseScene, n: int) -> None:
+    def __init__(self, layout: PolicyLayout, scene: ArmScene, n: int) -> None:
         self._layout, self._scene, self._workspace = layout, scene, workspace_of(layout)
         self.position_w: Array = np.empty((n, 3))
         self.q: Array = np.empty((n, 7))

@@ -1,4 +1,4 @@
-"""The model of OpenPressClose: robot and box in one MuJoCo model, and how to read and start it.
+"""The model of a task: robot and scene in one MuJoCo model, and how to read and start it.
 
 Used by the batched environment and by the simulated robot server alike.
 """
@@ -11,22 +11,11 @@ import mujoco
 import numpy as np
 
 from skewmi.policy_io import Array, PolicyLayout, Workspace
-from skewmi.robot_models import frames, kinematics, mjcf, servo, yumi
+from skewmi.robot_models import frames, kinematics, mjcf, yumi
+from skewmi.sim.arm import table
+from skewmi.sim.arm.definition import SIM_DT
 from skewmi.sim.arm.randomization import Randomization
-from skewmi.sim.tasks.open_press_close import parts
-from skewmi.sim.tasks.open_press_close.definition import SIM_DT, make_layout
-
-_KP = np.array([300.0, 300.0, 200.0, 200.0, 600.0, 600.0, 300.0])
-SERVO = servo.DEFAULT.with_changes(
-    kp=_KP,
-    kd=servo.critical_damping(_KP, servo.ARMATURE),
-    force_limit=np.array([12.5, 12.5, 6.0, 6.0, 6.0, 6.0, 6.0]),
-)
-"""Servos for work in contact. A soft arm bounds the force that the command's lead over the hand
-can build up, and a wrist that is stiff and strong for its size keeps the hand upright under it
-(the joints' own wrist stiffness is above 450 N m/rad): with the wrist at 100 N m/rad and 2 N m a
-sideways push of 12 N at the fingertips overpowered it, and the hand tilted by up to 40 degrees.
-An estimate like `servo.DEFAULT`, to be replaced by identified values."""
+from skewmi.sim.arm.task import ArmTask
 
 HAND_FORCE_SENSOR = "hand_contact_force"
 """Net contact force on hand and wrist (axis 6 and beyond), world axes, N."""
@@ -37,8 +26,8 @@ _NETFORCE = 3
 """`reduce` of a contact sensor that adds up all contacts (MJCF: reduce="netforce")."""
 
 
-def build_spec(servo_parameters: servo.ServoParameters = SERVO) -> mujoco.MjSpec:
-    """Robot with position servos, table, box, sensors: everything but what changes per episode.
+def build_spec(task: ArmTask) -> mujoco.MjSpec:
+    """Robot with servos, table, parts, sensors: everything but what changes per episode.
 
     World frame: task world (table top at z = 0). Actuators: the seven arm joints, then the
     fingers, each named as its joint and commanded in rad or m.
@@ -47,8 +36,8 @@ def build_spec(servo_parameters: servo.ServoParameters = SERVO) -> mujoco.MjSpec
     spec = mjcf.build_robot(
         fingers="hooked", left_arm="parked", collision=True, base_position=(x, y, z)
     )
-    mjcf.add_position_servos(spec, servo_parameters)
-    spec.modelname = "open_press_close"
+    mjcf.add_position_servos(spec, task.servo)
+    spec.modelname = task.name
     spec.option.timestep = SIM_DT
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
@@ -59,14 +48,16 @@ def build_spec(servo_parameters: servo.ServoParameters = SERVO) -> mujoco.MjSpec
     spec.visual.headlight.diffuse = (0.25, 0.25, 0.25)
 
     for name in yumi.finger_names("right"):
-        # The handle pulls on the hook with more than the grip force: with a soft stop the light
+        # A handle may pull on the hook with more than the grip force: with a soft stop the light
         # fingers would then open 4 mm further than they can.
-        spec.joint(name).solref_limit = parts.STIFF_LIMIT["solref_limit"]
-        spec.joint(name).solimp_limit = parts.STIFF_LIMIT["solimp_limit"]
+        spec.joint(name).solref_limit = table.STIFF_LIMIT["solref_limit"]
+        spec.joint(name).solimp_limit = table.STIFF_LIMIT["solimp_limit"]
     for geom in list(spec.geoms):
         # Of two geoms in contact MuJoCo takes the larger friction.
-        geom.friction[0] = parts.FRICTION
-    parts.add_parts(spec)
+        geom.friction[0] = table.FRICTION
+    table.add_table(spec)
+    task.add_parts(spec)
+    table.add_surroundings(spec)
     for name, body in ((HAND_FORCE_SENSOR, "yumi_link_7_r"), (ARM_FORCE_SENSOR, "yumi_link_1_r")):
         spec.add_sensor(
             name=name,
@@ -78,10 +69,14 @@ def build_spec(servo_parameters: servo.ServoParameters = SERVO) -> mujoco.MjSpec
     return spec
 
 
-class OpenPressCloseScene:
-    """Compiled model with the addresses of everything that the task reads and writes.
+class ArmScene:
+    """Compiled model with the addresses of everything that a task reads and writes.
+
+    Args:
+        task: What stands before the arm.
 
     Attributes:
+        task: As given.
         model: The compiled model with everything to be seen; time step 4 ms.
         physics_model: The same without geoms that touch nothing. Its states are bit for bit
             those of `model`, a fifth faster: MuJoCo places every geom at every step.
@@ -91,12 +86,14 @@ class OpenPressCloseScene:
         arm_ctrl: Actuators of the arm joints, chain order. Shape (7,).
         finger_ctrl: Actuator of the fingers.
         velocity_lead: Factor of the target velocity in `controls`, s. Shape (7,).
-        lid_qpos, button_qpos: Position addresses.
+        scene_qpos: Position addresses of the scene's joints, as the task lists them. Shape (k,).
+        scene_dof: Their velocity addresses. Shape (k,).
         hand_force, arm_force: Slices of `sensordata`, see the sensors' names.
     """
 
-    def __init__(self, servo_parameters: servo.ServoParameters = SERVO) -> None:
-        spec = build_spec(servo_parameters)
+    def __init__(self, task: ArmTask) -> None:
+        self.task = task
+        spec = build_spec(task)
         self.model: mujoco.MjModel = spec.compile()
         for geom in list(spec.geoms):
             if geom.contype == 0 and geom.conaffinity == 0:
@@ -106,18 +103,21 @@ class OpenPressCloseScene:
         joints = yumi.joint_names("right")
         fingers = yumi.finger_names("right")
         self.arm_qpos = np.array([self._qpos(name) for name in joints])
-        self.arm_dof = np.array([int(self.model.joint(name).dofadr[0]) for name in joints])
+        self.arm_dof = np.array([self._dof(name) for name in joints])
         self.finger_qpos = np.array([self._qpos(name) for name in fingers])
-        self.lid_qpos = self._qpos("lid_hinge")
-        self.button_qpos = self._qpos("button_slide")
+        self.scene_qpos = np.array([self._qpos(name) for name in task.joint_names], dtype=np.int64)
+        self.scene_dof = np.array([self._dof(name) for name in task.joint_names], dtype=np.int64)
         self.arm_ctrl = np.array([self.model.actuator(name).id for name in joints])
         self.finger_ctrl = int(self.model.actuator(fingers[0]).id)
-        self.velocity_lead: Array = servo_parameters.kd / servo_parameters.kp
+        self.velocity_lead: Array = task.servo.kd / task.servo.kp
         self.hand_force = self._sensor(HAND_FORCE_SENSOR)
         self.arm_force = self._sensor(ARM_FORCE_SENSOR)
 
     def _qpos(self, joint: str) -> int:
         return int(self.model.joint(joint).qposadr[0])
+
+    def _dof(self, joint: str) -> int:
+        return int(self.model.joint(joint).dofadr[0])
 
     def _sensor(self, name: str) -> slice:
         sensor = self.model.sensor(name)
@@ -145,17 +145,18 @@ class OpenPressCloseScene:
         Returns:
             Each shape (...), in the unit of its field.
         """
-        return {
+        values = {
             "hand_x": hand_position_w[..., 0],
             "hand_y": hand_position_w[..., 1],
             "hand_z": hand_position_w[..., 2],
             "gripper": qpos[..., self.finger_qpos].mean(axis=-1),
-            "lid_angle": qpos[..., self.lid_qpos],
-            "button_depth": qpos[..., self.button_qpos],
         }
+        for joint, address in zip(self.task.joints, self.scene_qpos, strict=True):
+            values[joint.field.name] = qpos[..., address]
+        return values
 
     def start_positions(self, layout: PolicyLayout, hand_position_w: Array) -> Array:
-        """Joint positions that begin an episode: lid shut, button up, hand where asked.
+        """Joint positions that begin an episode: scene as the task says, hand where asked.
 
         Args:
             layout: Gives start configuration, orientation and finger opening.
@@ -174,8 +175,7 @@ class OpenPressCloseScene:
         kinematics.require_converged(result)
         qpos[:, self.arm_qpos] = result.q
         qpos[:, self.finger_qpos] = workspace.gripper_opening
-        qpos[:, self.lid_qpos] = 0.0
-        qpos[:, self.button_qpos] = 0.0
+        qpos[:, self.scene_qpos] = [joint.start for joint in self.task.joints]
         return qpos
 
     def arm_positions(self, workspace: Workspace, hand_position_w: Array, q_near: Array) -> Array:
@@ -248,7 +248,7 @@ class OpenPressCloseScene:
             layout: Of the task; the default layout if not given.
             randomization: What varies; the default if not given.
         """
-        layout = make_layout() if layout is None else layout
+        layout = self.task.layout() if layout is None else layout
         randomization = Randomization() if randomization is None else randomization
         starts = np.array([workspace_of(layout).start])
         if rng is not None:
@@ -267,7 +267,7 @@ class OpenPressCloseScene:
 
 
 def workspace_of(layout: PolicyLayout) -> Workspace:
-    """The workspace, which every layout of this task has."""
+    """The workspace, which the layout of every task with an arm has."""
     assert layout.workspace is not None
     return layout.workspace
 

@@ -1,5 +1,12 @@
-"""The tasks by name."""
+"""The tasks. A task is a folder here and a line below; `docs/extending.md` says how to add one.
 
-from skewmi.sim.tasks.registry import TASKS, layout, make_batch
+Packages outside of this one register theirs by an entry point of the group `skewmi.tasks`. The
+first task is that of commands which are not told any.
+"""
 
-__all__ = ["TASKS", "layout", "make_batch"]
+from skewmi.sim.tasks.registry import default, find, layout, make_batch, names, register, with_arm
+
+__all__ = ["default", "find", "layout", "make_batch", "names", "register", "with_arm"]
+
+register("open_press_close", "skewmi.sim.tasks.open_press_close.task:SPEC")
+register("point_maze", "skewmi.sim.tasks.point_maze.task:SPEC")

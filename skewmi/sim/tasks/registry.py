@@ -1,28 +1,98 @@
-"""The tasks by name.
-
-Each task is a module, imported when first asked for, that has `make_batch(num_envs, *,
-num_threads, seed, **options)` and `layout(**options)`.
-"""
+"""Where tasks are found by name; a task's module is imported when it is first asked for."""
 
 from __future__ import annotations
 
+import functools
 import importlib
 import inspect
 from collections.abc import Callable
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any, TypeVar
 
 from skewmi.batch_env import BatchEnv
 from skewmi.errors import ConfigurationError, NotFoundError
 from skewmi.policy_io import PolicyLayout
+from skewmi.sim.task_spec import TaskSpec
 
-_MODULES = {
-    "open_press_close": "skewmi.sim.arm.batch",
-    "point_maze": "skewmi.sim.tasks.point_maze.task",
-}
+GROUP = "skewmi.tasks"
+"""Entry points by which other packages register tasks: `name = "package.module:SPEC"`."""
 
-TASKS = tuple(_MODULES)
+_registered: dict[str, str] = {}
 
 _T = TypeVar("_T")
+
+
+def register(name: str, where: str) -> None:
+    """Register a task.
+
+    Args:
+        name: Of the task.
+        where: Of its `TaskSpec`, `package.module:ATTRIBUTE`; imported when it is asked for.
+
+    Raises:
+        ConfigurationError: There is another task of that name, or the name is not one that files
+            and flags take.
+    """
+    if not (name.isidentifier() and name == name.lower()):
+        raise ConfigurationError(
+            f"task name {name!r} must be small letters, digits and underscores, as open_drawer"
+        )
+    if _registered.setdefault(name, where) != where:
+        raise ConfigurationError(
+            f"two tasks are called {name!r}: {_registered[name]} and {where}; rename one"
+        )
+    find.cache_clear()
+
+
+@functools.cache
+def _of_other_packages() -> dict[str, EntryPoint]:
+    return {point.name: point for point in entry_points(group=GROUP)}
+
+
+def names() -> tuple[str, ...]:
+    """Every task: our own first, then those of other packages by name."""
+    return (*_registered, *sorted(_of_other_packages().keys() - _registered.keys()))
+
+
+def default() -> str:
+    """The task of commands that are not told which: the first one registered."""
+    return names()[0]
+
+
+@functools.cache
+def find(name: str) -> TaskSpec:
+    """A task by its name.
+
+    Raises:
+        NotFoundError: There is no such task; the message lists those that exist.
+        ConfigurationError: Its package cannot be imported, or is no task's.
+    """
+    points = _of_other_packages()
+    if name in _registered:
+        where = _registered[name]
+        if name in points and points[name].value != where:
+            raise ConfigurationError(
+                f"two tasks are called {name!r}: {where} and {points[name].value}; uninstall the "
+                "package of the latter, or rename its task"
+            )
+    elif name in points:
+        where = points[name].value
+    else:
+        raise NotFoundError(f"no task {name!r}; tasks are {', '.join(names())}")
+    module, _, attribute = where.partition(":")
+    try:
+        spec = getattr(importlib.import_module(module), attribute)
+    except (ImportError, AttributeError) as error:
+        raise ConfigurationError(f"task {name!r} cannot be loaded from {where}: {error}") from error
+    if not isinstance(spec, TaskSpec) or spec.name != name:
+        found = spec.name if isinstance(spec, TaskSpec) else f"a {type(spec).__name__}"
+        raise ConfigurationError(f"{where} is registered as task {name!r}, but is {found!r}")
+    return spec
+
+
+def with_arm() -> tuple[str, ...]:
+    """The tasks that have a robot; imports all of them."""
+    return tuple(name for name in names() if find(name).arm is not None)
 
 
 def make_batch(
@@ -31,7 +101,7 @@ def make_batch(
     """Make `num_envs` copies of a task.
 
     Args:
-        name: One of `TASKS`.
+        name: One of `names()`.
         num_envs: How many copies.
         num_threads: Threads that step them; 0 chooses.
         seed: Of everything random.
@@ -41,33 +111,29 @@ def make_batch(
         NotFoundError: There is no such task; the message lists those that exist.
         ConfigurationError: There is no such option, or a value is not allowed.
     """
-    make: Callable[..., BatchEnv] = _task_function(name, "make_batch")
-    return _call(name, make, num_envs, num_threads=num_threads, seed=seed, **options)
+    return _call(name, find(name).batch, num_envs, num_threads=num_threads, seed=seed, **options)
 
 
 def layout(name: str, **options: Any) -> PolicyLayout:
-    """Observation and action of a task; options as in `make_batch`.
+    """Observation and action of a task.
+
+    Args:
+        name: One of `names()`.
+        options: Its `layout_switches`.
 
     Raises:
         NotFoundError: There is no such task.
         ConfigurationError: The layout does not depend on such an option.
     """
-    make: Callable[..., PolicyLayout] = _task_function(name, "layout")
-    return _call(name, make, **options)
-
-
-def _task_function(name: str, function: str) -> Callable[..., Any]:
-    if name not in _MODULES:
-        raise NotFoundError(f"no task {name!r}; tasks are {', '.join(TASKS)}")
-    found: Callable[..., Any] = getattr(importlib.import_module(_MODULES[name]), function)
-    return found
+    return _call(name, find(name).layout, **options)
 
 
 def _call(name: str, function: Callable[..., _T], *args: Any, **options: Any) -> _T:
+    signature = inspect.signature(function)
     try:
-        inspect.signature(function).bind(*args, **options)
+        signature.bind(*args, **options)
     except TypeError as error:
-        known = [p for p in inspect.signature(function).parameters if p != "num_envs"]
+        known = [p for p in signature.parameters if p != "num_envs"]
         raise ConfigurationError(
             f"task {name!r}: {error}; options are {', '.join(known)}"
         ) from error

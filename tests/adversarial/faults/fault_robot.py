@@ -1,6 +1,6 @@
 """`skewmi robot` as a child process that writes down every target it gives to its servos.
 
-Run as a script it is the child: the product's own command with a twin that logs. `Robot` is the
+Run as a script it is the child: the product's own command with a robot that logs. `Robot` is the
 parent's handle.
 """
 
@@ -18,7 +18,7 @@ import numpy as np
 
 from skewmi.cli.main import main
 from skewmi.deploy.robot import run as robot_run
-from skewmi.deploy.robot.backends.mujoco.backend import SimTwin
+from skewmi.deploy.robot.backends.mujoco.backend import MujocoBackend
 from skewmi.deploy.robot.process import free_port
 from skewmi.policy_io import Array
 from skewmi.trajectory import JointPoint
@@ -29,8 +29,8 @@ ROW = 1 + 1 + 7 + 7
 """Columns of a row: kind, monotonic s, commanded q (7,), measured q (7,); rad."""
 
 
-class WatchedTwin(SimTwin):
-    """The twin, and a row in a file for every target; no buffer, so that kill -9 loses none."""
+class WatchedBackend(MujocoBackend):
+    """It, and a row in a file for every target; no buffer, so that kill -9 loses none."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
         self._log = os.open(os.environ[LOG_VARIABLE], os.O_WRONLY | os.O_CREAT | os.O_APPEND)
@@ -111,5 +111,5 @@ class Robot:
 
 
 if __name__ == "__main__":
-    robot_run.SimTwin = WatchedTwin  # type: ignore[misc]
+    robot_run.MujocoBackend = WatchedBackend  # type: ignore[misc]
     sys.exit(main(sys.argv[1:]))

@@ -21,7 +21,7 @@ from skewmi.robot_models import frames, limits, yumi
 from skewmi.robot_models.frames import rotation_vector
 from skewmi.robot_models.kinematics import ArmKinematics
 
-START = np.array(yumi.PRESS_START_CONFIGURATION)
+START = np.array(yumi.TABLE_CONFIGURATION)
 KINEMATICS = ArmKinematics("right")
 
 

@@ -33,7 +33,7 @@ from skewmi.deploy.motion.followed_path import FollowedPath
 from skewmi.deploy.motion.planner import Planner
 from skewmi.robot_models import frames, limits, yumi
 
-START = np.array(yumi.PRESS_START_CONFIGURATION)
+START = np.array(yumi.TABLE_CONFIGURATION)
 NUMBER = st.floats(-1.0, 1.0)
 
 

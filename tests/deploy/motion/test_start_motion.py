@@ -16,7 +16,7 @@ from skewmi.robot_models.kinematics import ArmKinematics
 from skewmi.trajectory import CYCLE_TICKS
 
 HOME = np.array(yumi.HOME["right"])
-START = np.array(yumi.PRESS_START_CONFIGURATION)
+START = np.array(yumi.TABLE_CONFIGURATION)
 FORWARD = ArmKinematics("right").forward
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from skewmi.deploy.motion.start_motion import StartMotion
 from skewmi.deploy.robot.backend import BackendFaultError
-from skewmi.deploy.robot.backends.mujoco.backend import SimTwin
+from skewmi.deploy.robot.backends.mujoco.backend import MujocoBackend
 from skewmi.deploy.robot.controller import LEASE_NS, RobotController
 from skewmi.deploy.robot.executor import PlanExecutor
 from skewmi.deploy.robot.refusals import Refusal
@@ -30,8 +30,8 @@ OURS, OTHER, GRIPPER = b"a" * 16, b"b" * 16, b"g" * 16
 TICK = GRID_NS
 
 
-class WatchedTwin(SimTwin):
-    """The twin, and every target that it was given."""
+class WatchedBackend(MujocoBackend):
+    """The simulated robot, and every target that it was given."""
 
     def __init__(self) -> None:
         self.targets: list[JointPoint] = []
@@ -43,18 +43,18 @@ class WatchedTwin(SimTwin):
 
 
 @pytest.fixture(scope="module")
-def twin() -> WatchedTwin:
-    return WatchedTwin()
+def backend() -> WatchedBackend:
+    return WatchedBackend()
 
 
 @pytest.fixture
-def robot(twin: WatchedTwin) -> RobotController:
-    twin.reset_scene(seed=0)
-    twin.targets.clear()
-    assert twin.layout.workspace is not None
-    rules = ValidationRules(joint_names=twin.joint_names, grid_ns=GRID_NS)
-    validator = ChunkValidator(rules, limit_check(LAB, twin.layout.workspace))
-    return RobotController(twin, validator)
+def robot(backend: WatchedBackend) -> RobotController:
+    backend.reset_scene(seed=0)
+    backend.targets.clear()
+    assert backend.layout.workspace is not None
+    rules = ValidationRules(joint_names=backend.joint_names, grid_ns=GRID_NS)
+    validator = ChunkValidator(rules, limit_check(LAB, backend.layout.workspace))
+    return RobotController(backend, validator)
 
 
 def start_motion(robot: RobotController, size: float = 0.03) -> StartMotion:
@@ -187,11 +187,11 @@ def test_older_chunk_does_not_overwrite_a_newer_one(robot: RobotController) -> N
 
 
 def test_joint_far_from_its_command_is_a_fault_until_acknowledged(
-    robot: RobotController, twin: WatchedTwin
+    robot: RobotController, backend: WatchedBackend
 ) -> None:
     robot.arm(OURS, 0)
-    pushed = twin._data.qpos[twin.scene.arm_qpos] + 0.5
-    twin._data.qpos[twin.scene.arm_qpos] = pushed
+    pushed = backend._data.qpos[backend.scene.arm_qpos] + 0.5
+    backend._data.qpos[backend.scene.arm_qpos] = pushed
     run(robot, 1)
     assert robot.state is ServerState.FAULT
     assert "rad from its command" in robot.machine.reason
@@ -203,11 +203,11 @@ def test_joint_far_from_its_command_is_a_fault_until_acknowledged(
     assert np.abs(np.array(robot.commanded_position()) - pushed).max() < 0.05
 
 
-def test_unphysical_simulation_is_a_fault(robot: RobotController, twin: WatchedTwin) -> None:
-    twin._data.qvel[:] = np.nan
+def test_unphysical_simulation_is_a_fault(robot: RobotController, backend: WatchedBackend) -> None:
+    backend._data.qvel[:] = np.nan
     with pytest.raises(BackendFaultError, match="mjWARN"):
-        twin.step(robot.plan.point(0))
-    twin._data.qvel[:] = np.nan
+        backend.step(robot.plan.point(0))
+    backend._data.qvel[:] = np.nan
     run(robot, 1)
     assert robot.state is ServerState.FAULT
 
@@ -240,15 +240,15 @@ def test_fault_while_moving_still_follows_the_tail(
 
 
 def test_an_arm_that_is_held_off_its_command_is_not_pulled_at(
-    robot: RobotController, twin: WatchedTwin
+    robot: RobotController, backend: WatchedBackend
 ) -> None:
     """Somebody stands in the way, and then steps aside."""
     q0 = np.array(robot.commanded_position())
     held = q0 + np.array([0.0, 0.0, 0.0, 0.4, 0.0, 0.0, 0.0])
 
     def hold() -> None:
-        twin._data.qpos[twin.scene.arm_qpos] = held
-        twin._data.qvel[twin.scene.arm_dof] = 0.0
+        backend._data.qpos[backend.scene.arm_qpos] = held
+        backend._data.qvel[backend.scene.arm_dof] = 0.0
 
     hold()
     run(robot, 1)
@@ -259,8 +259,8 @@ def test_an_arm_that_is_held_off_its_command_is_not_pulled_at(
         if tick < 50:
             hold()
         run(robot, 1)
-        speeds.append(np.abs(twin._data.qvel[twin.scene.arm_dof]).max())
-        assert np.abs(twin.targets[-1].q - held).max() < 0.02
+        speeds.append(np.abs(backend._data.qvel[backend.scene.arm_dof]).max())
+        assert np.abs(backend.targets[-1].q - held).max() < 0.02
     assert max(speeds) < 0.2, "the arm snaps"
     assert np.abs(np.array(robot.commanded_position()) - held).max() < 0.02
 
@@ -388,27 +388,27 @@ def test_a_scene_that_somebody_works_in_is_not_reset(robot: RobotController) -> 
 
 
 def test_a_physics_fault_that_was_acknowledged_is_over(
-    robot: RobotController, twin: WatchedTwin
+    robot: RobotController, backend: WatchedBackend
 ) -> None:
-    twin._data.qvel[twin.scene.arm_dof] = 1e11
+    backend._data.qvel[backend.scene.arm_dof] = 1e11
     run(robot, 1)
     assert robot.state is ServerState.FAULT
     assert "the simulation raised" in robot.machine.reason
-    twin._data.qvel[:] = 0.0
+    backend._data.qvel[:] = 0.0
     run(robot, 50)
     robot.stop("test")
     run(robot, 5)
     assert robot.state is ServerState.DISARMED
 
 
-def test_scene_resets_at_rest_only(robot: RobotController, twin: WatchedTwin) -> None:
+def test_scene_resets_at_rest_only(robot: RobotController, backend: WatchedBackend) -> None:
     start_moving(robot)
     run(robot, 10)
     with pytest.raises(CommandRefusedError, match="moving"):
         robot.reset_scene(1)
     run(robot, 60)
     robot.disarm(OURS)
-    twin._data.qpos[twin.scene.lid_qpos] = 1.0
+    backend._data.qpos[backend.scene.scene_qpos[0]] = 1.0
     robot.reset_scene(1)
     measured = robot.measure()
     assert measured.scene_position[0] == 0.0
@@ -462,4 +462,4 @@ def test_plan_is_the_newest_chunk_at_every_tick(ends: list[tuple[int, int]]) -> 
 
 def test_unknown_task_is_named_with_those_that_exist() -> None:
     with pytest.raises(NotFoundError, match="open_press_close"):
-        SimTwin("point_maze")
+        MujocoBackend("point_maze")

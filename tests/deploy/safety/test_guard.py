@@ -19,7 +19,7 @@ from skewmi.robot_models import limits, mjcf, yumi
 from skewmi.robot_models.kinematics import ArmKinematics
 
 LAB = limits.profile("lab")
-START = np.array(yumi.PRESS_START_CONFIGURATION)
+START = np.array(yumi.TABLE_CONFIGURATION)
 HOME = np.array(yumi.HOME["right"])
 WORKSPACE = Workspace(
     low=(-0.019, -0.155, 0.190),

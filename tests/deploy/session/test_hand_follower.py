@@ -15,7 +15,7 @@ from skewmi.deploy.wire.messages import decode_chunk, decode_joint_states
 from skewmi.policy_io import Array, PolicyLayout
 from skewmi.robot_models import frames, yumi
 from skewmi.robot_models.kinematics import ArmKinematics
-from skewmi.sim.tasks.open_press_close import definition
+from skewmi.sim.arm import definition
 from skewmi.sim.tasks.open_press_close.definition import make_layout
 
 STEPS_ASIDE = 5

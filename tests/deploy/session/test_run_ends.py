@@ -28,7 +28,7 @@ from skewmi.deploy.report import DeployReport
 from skewmi.deploy.robot import process as robot_process
 from skewmi.deploy.robot import run as robot_run
 from skewmi.deploy.robot.backend import BackendFaultError
-from skewmi.deploy.robot.backends.mujoco.backend import SimTwin
+from skewmi.deploy.robot.backends.mujoco.backend import MujocoBackend
 from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.robot.process import free_port, simulated_robot_process
 from skewmi.deploy.robot.run import SimulatedRobotOptions, run_simulated_robot
@@ -166,7 +166,7 @@ def test_an_robot_server_that_is_ended_in_a_fault_follows_the_plan_to_rest_first
     ended, crashes, targets = threading.Event(), [], []
     ready, fail = threading.Event(), threading.Event()
 
-    class Failing(SimTwin):
+    class Failing(MujocoBackend):
         def step(self, target) -> None:
             super().step(target)
             targets.append(target.q.copy())
@@ -176,7 +176,7 @@ def test_an_robot_server_that_is_ended_in_a_fault_follows_the_plan_to_rest_first
                 ended.set()
                 raise BackendFaultError("drive 3 over temperature")
 
-    monkeypatch.setattr(robot_run, "SimTwin", Failing)
+    monkeypatch.setattr(robot_run, "MujocoBackend", Failing)
     locator = f"tcp/127.0.0.1:{free_port()}"
     config = TransportConfig.for_robot(locator, lock_step=lock_step)
     options = SimulatedRobotOptions(joint_limits.profile("lab"), lock_step=lock_step)
@@ -205,14 +205,14 @@ def test_a_fault_stays_until_somebody_acknowledges_it(
 ) -> None:
     hot = threading.Event()
 
-    class Failing(SimTwin):
+    class Failing(MujocoBackend):
         def step(self, target) -> None:
             super().step(target)
             if hot.is_set():
                 hot.clear()
                 raise BackendFaultError("drive 3 over temperature")
 
-    monkeypatch.setattr(robot_run, "SimTwin", Failing)
+    monkeypatch.setattr(robot_run, "MujocoBackend", Failing)
     with robot_in_a_thread(lock_step=lock_step) as robot:
         options = DeployOptions(episodes=2, connect=robot, lock_step=lock_step)
         report = run_deploy(FewSteps(10, hot.set), options)

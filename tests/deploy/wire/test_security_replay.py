@@ -13,7 +13,7 @@ from secured_link import robot_process
 
 from skewmi.deploy.motion.start_motion import StartMotion
 from skewmi.deploy.robot.backend import fresh_tick
-from skewmi.deploy.robot.backends.mujoco.backend import SimTwin
+from skewmi.deploy.robot.backends.mujoco.backend import MujocoBackend
 from skewmi.deploy.robot.controller import RobotController
 from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.robot.process import free_port
@@ -41,13 +41,13 @@ GIDS = (b"a" * 16, b"b" * 16)
 GRIPPER = b"g" * 16
 
 
-def make_robot(twin: SimTwin, first_tick: int) -> RobotController:
+def make_robot(backend: MujocoBackend, first_tick: int) -> RobotController:
     """A robot server that was just started, its arm at the task's start."""
-    twin.reset_scene(seed=0)
-    assert twin.layout.workspace is not None
-    rules = ValidationRules(joint_names=twin.joint_names, grid_ns=GRID_NS)
-    validator = ChunkValidator(rules, limit_check(LAB, twin.layout.workspace))
-    return RobotController(twin, validator, first_tick=first_tick)
+    backend.reset_scene(seed=0)
+    assert backend.layout.workspace is not None
+    rules = ValidationRules(joint_names=backend.joint_names, grid_ns=GRID_NS)
+    validator = ChunkValidator(rules, limit_check(LAB, backend.layout.workspace))
+    return RobotController(backend, validator, first_tick=first_tick)
 
 
 def chunks(start: Array, stamp_ns: int, names: tuple[str, ...], back: bool = False) -> list[bytes]:
@@ -61,8 +61,8 @@ def chunks(start: Array, stamp_ns: int, names: tuple[str, ...], back: bool = Fal
 
 
 @pytest.fixture(scope="module")
-def twin() -> SimTwin:
-    return SimTwin()
+def backend() -> MujocoBackend:
+    return MujocoBackend()
 
 
 def execute(robot: RobotController, payloads: list[bytes], gid: bytes, first: int = 1) -> int:
@@ -98,10 +98,10 @@ STEPS = st.lists(
 )
 @given(steps=STEPS, first=st.integers(0, 1000))
 def test_no_chunk_is_ever_followed_twice(
-    twin: SimTwin, steps: list[tuple[str, int]], first: int
+    backend: MujocoBackend, steps: list[tuple[str, int]], first: int
 ) -> None:
     """Whatever happens in between, and with whatever sender and number it is put again."""
-    robot = make_robot(twin, first)
+    robot = make_robot(backend, first)
     arms = (*GIDS, b"")
     followed: list[bytes] = []
     sequence, back, holder = 0, False, GIDS[0]
@@ -120,7 +120,7 @@ def test_no_chunk_is_ever_followed_twice(
         elif what == "move" and robot.plan.at_rest(robot.tick_index):
             start = np.array(robot.commanded_position())
             stamp_ns = (robot.tick_index + 3) * GRID_NS
-            for payload in chunks(start, stamp_ns, twin.joint_names, back)[:6]:
+            for payload in chunks(start, stamp_ns, backend.joint_names, back)[:6]:
                 sequence += 1
                 if robot.receive(payload, holder, sequence, 0):
                     followed.append(payload)
@@ -141,17 +141,17 @@ def test_no_chunk_is_ever_followed_twice(
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=10)
 @given(gid=st.sampled_from([*GIDS, b""]), data=st.data())
 def test_a_recording_is_not_followed_by_a_restarted_robot_server(
-    twin: SimTwin, gid: bytes, data: st.DataObject
+    backend: MujocoBackend, gid: bytes, data: st.DataObject
 ) -> None:
     """Even by one that is armed for the recorded sender, at rest at the recorded start."""
     first = fresh_tick()
-    robot = make_robot(twin, first)
+    robot = make_robot(backend, first)
     robot.arm(GIDS[0], 0)
     start = np.array(robot.commanded_position())
-    recorded = chunks(start, (first + 50) * GRID_NS, twin.joint_names)
+    recorded = chunks(start, (first + 50) * GRID_NS, backend.joint_names)
     assert execute(robot, recorded, GIDS[0]) == len(recorded)
 
-    restarted = make_robot(twin, fresh_tick())
+    restarted = make_robot(backend, fresh_tick())
     # It may have been up for any time.
     for _ in range(data.draw(st.integers(0, 100))):
         restarted.step(0)
@@ -163,13 +163,13 @@ def test_a_recording_is_not_followed_by_a_restarted_robot_server(
     np.testing.assert_array_equal(restarted.commanded_position(), start)
 
 
-def test_it_is_the_clock_that_tells_runs_apart(twin: SimTwin) -> None:
+def test_it_is_the_clock_that_tells_runs_apart(backend: MujocoBackend) -> None:
     """The test above can fail: had both clocks started alike, the arm would have moved."""
-    robot = make_robot(twin, 0)
-    recorded = chunks(np.array(robot.commanded_position()), 50 * GRID_NS, twin.joint_names)
+    robot = make_robot(backend, 0)
+    recorded = chunks(np.array(robot.commanded_position()), 50 * GRID_NS, backend.joint_names)
     robot.arm(GIDS[0], 0)
     assert execute(robot, recorded, GIDS[0]) == len(recorded)
-    alike = make_robot(twin, 0)
+    alike = make_robot(backend, 0)
     alike.arm(GIDS[0], 0)
     assert execute(alike, recorded, GIDS[0]) == len(recorded)
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from skewmi.sim.arm.batch import OpenPressCloseBatch
-from skewmi.sim.arm.scene import OpenPressCloseScene
+from skewmi.sim.arm.batch import ArmBatch
+from skewmi.sim.arm.scene import ArmScene
+from skewmi.sim.tasks.open_press_close.definition import ARM
 
 
 def test_leaving_out_visual_geoms_changes_nothing() -> None:
-    scene = OpenPressCloseScene()
+    scene = ArmScene(ARM)
     shown, stepped = scene.model, scene.physics_model
     assert stepped.ngeom < shown.ngeom
     for name in ("body_mass", "body_inertia", "body_ipos", "body_iquat", "dof_invweight0"):
@@ -18,7 +19,7 @@ def test_leaving_out_visual_geoms_changes_nothing() -> None:
     assert (shown.nq, shown.nv, shown.nu) == (stepped.nq, stepped.nv, stepped.nu)
 
     # Press down on the lid and move along it, so that there is contact.
-    env = OpenPressCloseBatch(2, num_threads=1)
+    env = ArmBatch(ARM, 2, num_threads=1)
     env.reset(0)
     data = [mujoco.MjData(shown) for _ in range(2)]
     for index, single in enumerate(data):

@@ -9,39 +9,41 @@ import pytest
 from skewmi.errors import ConfigurationError, KinematicsError
 from skewmi.policy_io import inside_region
 from skewmi.robot_models import frames, kinematics
-from skewmi.sim.arm.batch import OpenPressCloseBatch
+from skewmi.sim.arm import definition as arm_definition
+from skewmi.sim.arm.batch import ArmBatch
 from skewmi.sim.arm.randomization import Randomization
 from skewmi.sim.arm.reach import HAND_MARGIN, reachable
-from skewmi.sim.arm.scene import OpenPressCloseScene, workspace_of
+from skewmi.sim.arm.scene import ArmScene, workspace_of
 from skewmi.sim.tasks.open_press_close import definition, parts
+from skewmi.sim.tasks.open_press_close.definition import ARM
 
 LAYOUT = definition.make_layout()
 WORKSPACE = workspace_of(LAYOUT)
 
 
 @pytest.fixture(scope="module")
-def scene() -> OpenPressCloseScene:
-    return OpenPressCloseScene()
+def scene() -> ArmScene:
+    return ArmScene(ARM)
 
 
 @pytest.fixture
-def data(scene: OpenPressCloseScene) -> mujoco.MjData:
+def data(scene: ArmScene) -> mujoco.MjData:
     data = mujoco.MjData(scene.model)
     scene.reset(data)
     return data
 
 
-def run(scene: OpenPressCloseScene, data: mujoco.MjData, seconds: float) -> None:
-    mujoco.mj_step(scene.model, data, round(seconds / definition.SIM_DT))
+def run(scene: ArmScene, data: mujoco.MjData, seconds: float) -> None:
+    mujoco.mj_step(scene.model, data, round(seconds / arm_definition.SIM_DT))
 
 
 # The scene
 
 
 def test_the_time_grid_is_the_robots() -> None:
-    np.testing.assert_allclose(definition.SUBSTEPS * definition.SIM_DT, LAYOUT.control_dt)
-    assert OpenPressCloseScene().model.opt.timestep == definition.SIM_DT
-    assert OpenPressCloseScene().model.opt.gravity[2] == -9.81
+    np.testing.assert_allclose(arm_definition.SUBSTEPS * arm_definition.SIM_DT, LAYOUT.control_dt)
+    assert ArmScene(ARM).model.opt.timestep == arm_definition.SIM_DT
+    assert ArmScene(ARM).model.opt.gravity[2] == -9.81
 
 
 def test_the_handle_is_where_the_published_scene_has_it(scene, data) -> None:
@@ -50,7 +52,7 @@ def test_the_handle_is_where_the_published_scene_has_it(scene, data) -> None:
     hinge = np.array(parts.LID_HINGE)
     assert np.hypot(*(bar - hinge)[1:]) == pytest.approx(0.1406, abs=1e-4)
     # Bar on its arc at pi/2, from the published scene: y 0.036, z 0.209.
-    data.qpos[scene.lid_qpos] = np.pi / 2
+    data.qpos[scene.scene_qpos[0]] = np.pi / 2
     mujoco.mj_kinematics(scene.model, data)
     np.testing.assert_allclose(data.geom("handle_bar").xpos[1:], (0.036, 0.209), atol=1e-3)
 
@@ -74,20 +76,20 @@ def test_the_lid_stays_where_it_is_left(scene, data, angle: float) -> None:
     if angle > 1.0:
         data.qpos[:] = scene.start_positions(LAYOUT, np.array([[-0.009, -0.15, 0.355]]))[0]
     data.ctrl[:] = scene.controls(data.qpos[scene.arm_qpos], WORKSPACE.gripper_opening)
-    data.qpos[scene.lid_qpos] = angle
+    data.qpos[scene.scene_qpos[0]] = angle
     run(scene, data, 10.0)
     assert data.ncon == 0
-    assert data.qpos[scene.lid_qpos] == pytest.approx(angle, abs=2e-3)
+    assert data.qpos[scene.scene_qpos[0]] == pytest.approx(angle, abs=2e-3)
 
 
 @pytest.mark.parametrize("load", [0.0, 1.0, 2.9])
 def test_the_button_stays_where_it_is_pushed(scene, data, load: float) -> None:
-    data.qpos[scene.button_qpos] = 0.012
+    data.qpos[scene.scene_qpos[1]] = 0.012
     dof = scene.model.joint("button_slide").dofadr[0]
     data.qfrc_applied[dof] = load
     run(scene, data, 10.0)
     # Less than the slide's dry friction: 10 s may creep by a third of a millimetre.
-    assert data.qpos[scene.button_qpos] == pytest.approx(0.012, abs=3.5e-4)
+    assert data.qpos[scene.scene_qpos[1]] == pytest.approx(0.012, abs=3.5e-4)
 
 
 def test_the_button_gives_way_to_more_than_its_friction_and_stops_at_its_travel(
@@ -95,16 +97,16 @@ def test_the_button_gives_way_to_more_than_its_friction_and_stops_at_its_travel(
 ) -> None:
     data.qfrc_applied[scene.model.joint("button_slide").dofadr[0]] = 60.0
     run(scene, data, 1.0)
-    assert data.qpos[scene.button_qpos] == pytest.approx(parts.BUTTON_TRAVEL, abs=1e-3)
+    assert data.qpos[scene.scene_qpos[1]] == pytest.approx(parts.BUTTON_TRAVEL, abs=1e-3)
     x, y, z = WORKSPACE.start
-    assert inside_region(LAYOUT, np.array([x, y, z, 0, 0, data.qpos[scene.button_qpos]]))
+    assert inside_region(LAYOUT, np.array([x, y, z, 0, 0, data.qpos[scene.scene_qpos[1]]]))
 
 
 @pytest.mark.parametrize("torque", [-1.0, -5.0, -10.0])
 def test_the_shut_lid_does_not_go_negative(scene, data, torque: float) -> None:
     data.qfrc_applied[scene.model.joint("lid_hinge").dofadr[0]] = torque
     run(scene, data, 1.0)
-    assert data.qpos[scene.lid_qpos] > -2e-3
+    assert data.qpos[scene.scene_qpos[0]] > -2e-3
 
 
 def test_the_measured_hand_is_mujocos_flange(scene, data) -> None:
@@ -141,7 +143,7 @@ def test_one_data_reset_varies_only_with_a_generator(scene, data) -> None:
 @pytest.fixture(scope="module")
 def shaken() -> dict[str, np.ndarray]:
     """Every environment under its own slowly varying random actions, through contact."""
-    env = OpenPressCloseBatch(16, num_threads=1, seed=3)
+    env = ArmBatch(ARM, 16, num_threads=1, seed=3)
     rng = np.random.default_rng(3)
     record: dict[str, list[np.ndarray]] = {
         name: [] for name in ("state", "speed", "command", "command_q", "tilt", "force")
@@ -208,18 +210,18 @@ def test_contact_hardly_tilts_the_hand(shaken) -> None:
 
 
 def test_states_under_random_actions_count_as_reachable(shaken) -> None:
-    assert reachable(LAYOUT, shaken["state"]).all()
+    assert reachable(ARM, LAYOUT, shaken["state"]).all()
 
 
 def test_fingertips_below_a_shut_lid_are_not_reachable() -> None:
     state = np.array([-0.009, -0.08, 0.195, 0.014, 0.0, 0.0])
-    assert not reachable(LAYOUT, state)
-    assert reachable(LAYOUT, state + np.array([0, 0, 0, 0, 2.0, 0.015]))
-    assert reachable(LAYOUT, state + np.array([0, 0, 0.03, 0, 0, 0.015]))
+    assert not reachable(ARM, LAYOUT, state)
+    assert reachable(ARM, LAYOUT, state + np.array([0, 0, 0, 0, 2.0, 0.015]))
+    assert reachable(ARM, LAYOUT, state + np.array([0, 0, 0.03, 0, 0, 0.015]))
 
 
 def test_a_free_hand_follows_its_command_without_lag() -> None:
-    env = OpenPressCloseBatch(1, num_threads=1, randomization=Randomization((0.0, 0.0, 0.0)))
+    env = ArmBatch(ARM, 1, num_threads=1, randomization=Randomization((0.0, 0.0, 0.0)))
     env.reset()
     for _ in range(5):
         env.step(np.array([[0.0, 0.0, 1.0]]))
@@ -228,7 +230,7 @@ def test_a_free_hand_follows_its_command_without_lag() -> None:
 
 
 def test_a_blocked_hand_stops_leading_and_its_force_is_bounded() -> None:
-    env = OpenPressCloseBatch(1, num_threads=1, randomization=Randomization((0.0, 0.0, 0.0)))
+    env = ArmBatch(ARM, 1, num_threads=1, randomization=Randomization((0.0, 0.0, 0.0)))
     env.reset()
     for _ in range(5):
         env.step(np.array([[0.0, 1.0, 0.0]]))
@@ -240,12 +242,12 @@ def test_a_blocked_hand_stops_leading_and_its_force_is_bounded() -> None:
     assert 5.0 < forces[-1] < 40.0
     assert forces[-1] < forces[-10] + 2.0
     # The lead is bounded where a step begins; contact moves the hand while it runs.
-    assert leads[-1] < WORKSPACE.held_lead * definition.HAND_STEP + 1e-3
+    assert leads[-1] < WORKSPACE.held_lead * arm_definition.HAND_STEP + 1e-3
 
 
 def test_the_command_waits_within_the_step_for_a_hand_that_is_held_up() -> None:
     """Pushed down onto the lid at full speed: the first contact leads by no full action."""
-    env = OpenPressCloseBatch(1, num_threads=1, randomization=Randomization((0.0, 0.0, 0.0)))
+    env = ArmBatch(ARM, 1, num_threads=1, randomization=Randomization((0.0, 0.0, 0.0)))
     env.reset()
     for _ in range(5):
         env.step(np.array([[0.0, 1.0, 0.0]]))
@@ -256,8 +258,10 @@ def test_the_command_waits_within_the_step_for_a_hand_that_is_held_up() -> None:
         leads.append(env.diagnostics().hand_to_command[0])
         moved.append(before - env.command()[0][0, 2])
     # Without that it would be led by a full action when the step ends.
-    assert max(leads) < 0.8 * definition.HAND_STEP
-    assert max(moved) == pytest.approx(definition.HAND_STEP, abs=1e-6)  # until there was contact
+    assert max(leads) < 0.8 * arm_definition.HAND_STEP
+    assert max(moved) == pytest.approx(
+        arm_definition.HAND_STEP, abs=1e-6
+    )  # until there was contact
     q = env.command()[1]
     position, _ = env.scene.kinematics.forward(q)
     np.testing.assert_allclose(
@@ -267,9 +271,9 @@ def test_the_command_waits_within_the_step_for_a_hand_that_is_held_up() -> None:
 
 @pytest.mark.parametrize(("delay_ms", "share"), [(0.0, 0.85), (20.0, 0.5)])
 def test_a_command_in_free_air_hardly_waits(tmp_path, delay_ms: float, share: float) -> None:
-    twin = tmp_path / "late.yaml"
-    twin.write_text(f"servo: {{delay_ms: {delay_ms}}}")
-    env = OpenPressCloseBatch(1, num_threads=1, twin=twin)
+    variation = tmp_path / "late.yaml"
+    variation.write_text(f"servo: {{delay_ms: {delay_ms}}}")
+    env = ArmBatch(ARM, 1, num_threads=1, variation=variation)
     env.reset(0)
     for _ in range(8):  # up and clear of the lid
         env.step(np.array([[0.0, 0.0, 0.7]]))
@@ -279,12 +283,12 @@ def test_a_command_in_free_air_hardly_waits(tmp_path, delay_ms: float, share: fl
             env.step(np.array([action], dtype=float))
         way = np.linalg.norm(env.command()[0][0] - begin)
         # A reversal costs a part of its first step, because the hand is still on its way.
-        asked = 4 * definition.HAND_STEP * np.linalg.norm(action)
+        asked = 4 * arm_definition.HAND_STEP * np.linalg.norm(action)
         assert share * asked < way < asked + 1e-9
 
 
 def test_the_gripper_action_moves_the_fingers_at_their_speed() -> None:
-    env = OpenPressCloseBatch(2, num_threads=1, gripper_action=True)
+    env = ArmBatch(ARM, 2, num_threads=1, gripper_action=True)
     opening = env.reset()[:, 3]
     np.testing.assert_allclose(opening, definition.GRIPPER_OPENING, atol=1e-9)
     action = np.array([[0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 0.0, -1.0]])
@@ -295,13 +299,13 @@ def test_the_gripper_action_moves_the_fingers_at_their_speed() -> None:
 
 
 def test_without_randomization_all_starts_are_the_layouts() -> None:
-    env = OpenPressCloseBatch(3, num_threads=1, randomization=Randomization((0.0, 0.0, 0.0)))
+    env = ArmBatch(ARM, 3, num_threads=1, randomization=Randomization((0.0, 0.0, 0.0)))
     observation = env.reset()
     np.testing.assert_allclose(observation[:, :3], np.tile(WORKSPACE.start, (3, 1)), atol=1e-6)
 
 
 def test_starts_vary_within_the_offset() -> None:
-    env = OpenPressCloseBatch(64, num_threads=1)
+    env = ArmBatch(ARM, 64, num_threads=1)
     offset = env.reset(5)[:, :3] - np.array(WORKSPACE.start)
     assert np.abs(offset).max() <= 0.005 + 1e-6
     assert np.all(np.abs(offset).max(axis=0) > 0.004)

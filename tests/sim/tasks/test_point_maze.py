@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from skewmi.errors import ConfigurationError
 from skewmi.policy_io import Array
 from skewmi.sim.tasks.point_maze import maze
+from skewmi.sim.tasks.point_maze.batch import PointMazeBatch
 from skewmi.sim.tasks.point_maze.scene import POINT_RADIUS, MazePicture, build_scene
-from skewmi.sim.tasks.point_maze.task import PointMazeBatch
 
 points = numpy_strategies.arrays(np.float64, (2,), elements=st.floats(-14.0, 14.0, allow_nan=False))
 actions = numpy_strategies.arrays(np.float64, (2,), elements=st.floats(-1.5, 1.5, allow_nan=False))

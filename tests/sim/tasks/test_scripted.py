@@ -7,7 +7,8 @@ import pytest
 from scripted_open_press_close import ScriptedOpenPressClose
 
 from skewmi.policy_io import first_success_step
-from skewmi.sim.arm.batch import OpenPressCloseBatch
+from skewmi.sim.arm.batch import ArmBatch
+from skewmi.sim.tasks.open_press_close.definition import ARM
 
 NUM_ENVS = 6
 
@@ -16,7 +17,7 @@ class Run:
     """One episode of the script in every environment, and what it did to the scene."""
 
     def __init__(self, seed: int, *, delay_steps: int = 0, noise: float = 0.0, **options) -> None:
-        env = OpenPressCloseBatch(NUM_ENVS, num_threads=1, seed=seed, **options)
+        env = ArmBatch(ARM, NUM_ENVS, num_threads=1, seed=seed, **options)
         scripts = [ScriptedOpenPressClose(env.layout) for _ in range(NUM_ENVS)]
         rng = np.random.default_rng(seed)
         observation = env.reset()

@@ -11,6 +11,7 @@ from skewmi.errors import ConfigurationError
 from skewmi.policy_io import Array
 from skewmi.sim.offscreen import Image, make_renderer
 from skewmi.sim.tasks.point_maze import maze
+from skewmi.sim.tasks.point_maze.batch import PointMazeBatch
 
 POINT_RADIUS = 1e-5
 """Radius of the colliding sphere, m: MuJoCo has no points."""
@@ -150,3 +151,25 @@ class MazePicture:
             np.array([0.2, 0.4, 0.8, 1.0], dtype=np.float32),
         )
         scene.ngeom += 1
+
+
+class MazeCamera:
+    """Copies of a running maze from above; satisfies `Camera`.
+
+    Args:
+        env: Whose copies are drawn.
+        width: Of the pictures, pixels.
+        height: Of the pictures, pixels.
+    """
+
+    def __init__(self, env: PointMazeBatch, width: int, height: int) -> None:
+        self._env = env
+        self._picture = MazePicture(width, height)
+
+    def render(self, index: int) -> Image:
+        """See `Camera.render`."""
+        return self._picture.render(self._env.position[index])
+
+    def close(self) -> None:
+        """See `Camera.close`."""
+        self._picture.close()

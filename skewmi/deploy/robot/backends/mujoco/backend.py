@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections import deque
-from itertools import product
 
 import mujoco
 import numpy as np
@@ -15,48 +14,34 @@ from skewmi.deploy.robot.backends.mujoco.contact_meter import ContactMeter
 from skewmi.errors import CommandRefusedError, ConfigurationError, NotFoundError
 from skewmi.policy_io import Array, PolicyLayout
 from skewmi.robot_models import yumi
-from skewmi.sim.arm.model_fields import (
-    SensorErrors,
-    delay_substeps,
-    model_fields,
-    needs_set_const,
-    random_stream,
-)
-from skewmi.sim.arm.scene import (
-    OpenPressCloseScene,
-    hand_rotation,
-    workspace_of,
-)
-from skewmi.sim.tasks.open_press_close.definition import FINGER_MAX, make_layout
-from skewmi.sim.twin import TwinSample, resolve
-from skewmi.sim.variation import TwinSample, resolve
+from skewmi.sim import tasks
+from skewmi.sim.arm.definition import FINGER_MAX
+from skewmi.sim.arm.model_fields import model_fields
+from skewmi.sim.arm.scene import ArmScene, hand_rotation, workspace_of
+from skewmi.sim.arm.sensors import SensorErrors, delay_substeps, random_stream
+from skewmi.sim.arm.variation_keys import OPENING_ERROR
+from skewmi.sim.variation import VariationSample
 from skewmi.trajectory import GRID_S, JointPoint
 
-SCENE_JOINTS = ("lid_hinge", "button_slide")
-"""Names in the scene states: lid angle (rad), button depth (m)."""
 
-TWIN_TASKS = ("open_press_close",)
-"""Tasks whose scene has a robot in it."""
-
-
-class SimTwin:
-    """MuJoCo twin of arm, gripper and scene; satisfies `RobotBackend`.
+class MujocoBackend:
+    """Arm, gripper and scene of a task in MuJoCo; satisfies `RobotBackend`.
 
     The servos and the contact of the training simulation, stepped by one 4 ms step per tick
     with the tick's joint target. `step` costs about 0.1 ms.
 
     Args:
-        task: Whose scene.
+        task: Whose scene; the registry's default if not given.
         start_configuration: Where the arm is at first, rad, shape (7,); the task's start
             configuration if not given. A scene reset always goes to the task's.
-        twin: How robot and scene differ from the nominal ones: a twin file, a bundled name, or
-            JSON. Its values are drawn at each scene reset from the seed of that reset. Shapes
-            for replays stay nominal, as does all that the robot is told.
+        variation: How robot and scene differ from the nominal ones: a variation file, a bundled
+            name, or JSON. Its values are drawn at each scene reset from the seed of that reset.
+            Shapes for replays stay nominal, as does all that the robot is told.
 
     Raises:
-        NotFoundError: The task has no scene with a robot, or there is no such twin file.
-        ConfigurationError: The scene's time step does not divide the grid, or the twin is not
-            valid.
+        NotFoundError: The task has no scene with a robot, or there is no such variation file.
+        ConfigurationError: The scene's time step does not divide the grid, or the variation is
+            not valid.
     """
 
     name = "sim"
@@ -64,23 +49,22 @@ class SimTwin:
 
     def __init__(
         self,
-        task: str = "open_press_close",
+        task: str | None = None,
         start_configuration: Array | None = None,
-        twin: str | None = None,
+        variation: str | None = None,
     ) -> None:
-        if task not in TWIN_TASKS:
+        self.task = tasks.default() if task is None else task
+        spec = tasks.find(self.task)
+        if spec.arm is None:
             raise NotFoundError(
-                f"no simulated robot for task {task!r}; there is one for {', '.join(TWIN_TASKS)}"
+                f"no simulated robot for task {self.task!r}; there is one for "
+                f"{', '.join(tasks.with_arm())}"
             )
-        self.task = task
-        self.layout: PolicyLayout = make_layout()
-        self.layout_hashes = tuple(
-            make_layout(gripper_action=gripper, time_input=time).hash()
-            for gripper, time in product((False, True), repeat=2)
-        )
+        self.layout: PolicyLayout = spec.layout()
+        self.layout_hashes = tuple(layout.hash() for _, layout in spec.layouts())
         self.joint_names = yumi.joint_names("right")
-        self.scene = OpenPressCloseScene()
-        self.scene_json = SceneGeometry.from_model(self.scene.model).to_json()
+        self.scene = ArmScene(spec.arm)
+        self.scene_json = SceneGeometry.from_model(self.scene.model, spec.scene_fields).to_json()
         self._data = mujoco.MjData(self.scene.model)
         self._substeps = round(GRID_S / self.scene.model.opt.timestep)
         if abs(self._substeps * self.scene.model.opt.timestep - GRID_S) > 1e-12:
@@ -89,9 +73,6 @@ class SimTwin:
                 f"robot server's grid of {GRID_S} s"
             )
         self._names = (*self.joint_names, yumi.finger_names("right")[0])
-        lid, button = (self.scene.model.joint(name) for name in SCENE_JOINTS)
-        self._scene_qpos = np.array([int(lid.qposadr[0]), int(button.qposadr[0])])
-        self._scene_dof = np.array([int(lid.dofadr[0]), int(button.dofadr[0])])
         self._finger_dof = np.array(
             [int(self.scene.model.joint(name).dofadr[0]) for name in yumi.finger_names("right")]
         )
@@ -100,7 +81,7 @@ class SimTwin:
         self._contact = ContactMeter(
             np.array(workspace.low), np.array(workspace.high), hand_rotation(workspace)
         )
-        self._twin = resolve(twin)
+        self._variation = spec.variations.resolve(variation)
         self._nominal_model = copy.copy(self.scene.model)
         self._opening_error = 0.0
         self.reset_scene(seed=0)
@@ -118,13 +99,12 @@ class SimTwin:
     def measure(self) -> Measurement:
         """Present positions, velocities and servo forces.
 
-        Positions of arm and scene have the twin's sensor errors, one draw a tick.
+        Positions of arm and scene have the variation's sensor errors, one draw a tick.
         """
         data, scene = self._data, self.scene
-        lid_and_button = data.qpos[self._scene_qpos]
+        of_scene = data.qpos[scene.scene_qpos]
         if self._errors is not None:
-            _, on_lid, on_button = self._errors
-            lid_and_button = lid_and_button + np.array([on_lid[0], on_button[0]])
+            of_scene = of_scene + self._errors[1][0]
         fingers = scene.finger_qpos
         return Measurement(
             names=self._names,
@@ -133,9 +113,9 @@ class SimTwin:
             effort=np.append(
                 data.actuator_force[scene.arm_ctrl], data.actuator_force[scene.finger_ctrl]
             ),
-            scene_names=SCENE_JOINTS,
-            scene_position=lid_and_button,
-            scene_velocity=data.qvel[self._scene_dof],
+            scene_names=scene.task.joint_names,
+            scene_position=of_scene,
+            scene_velocity=data.qvel[scene.scene_dof],
         )
 
     def step(self, target: JointPoint) -> None:
@@ -189,26 +169,26 @@ class SimTwin:
         self._finger_target = opening + self._opening_error
 
     def reset_scene(self, seed: int) -> Array:
-        """Lid shut, button up, arm at the task's start configuration.
+        """Scene as the task begins, arm at its start configuration.
 
         Args:
-            seed: Of the twin's values and sensor errors.
+            seed: Of the variation's values and sensor errors.
 
         Returns:
             Where the arm rests. Shape (7,), rad.
         """
-        sample = None
-        if not self._twin.is_nominal:
-            self._rng = random_stream(self._twin, seed)
-            sample = self._twin.sample(self._rng, 1)
+        sample: VariationSample | None = None
+        if not self._variation.is_nominal:
+            self._rng = random_stream(self._variation, seed)
+            sample = self._variation.sample(self._rng, 1)
             self._write_model(sample)
         self.scene.reset(self._data, layout=self.layout)
         self._sensors: SensorErrors | None = None
         self._delay = 0
         if sample is not None:
-            self._sensors = SensorErrors(sample)
+            self._sensors = SensorErrors(sample, self.scene.task)
             self._delay = int(delay_substeps(sample)[0]) // self._substeps
-            self._opening_error = float(sample.get("gripper.opening_error")[0])
+            self._opening_error = float(sample.get(OPENING_ERROR)[0])
             self._data.qpos[self.scene.finger_qpos] += self._opening_error
             self._data.ctrl[self.scene.finger_ctrl] += self._opening_error
             mujoco.mj_forward(self.scene.model, self._data)
@@ -225,13 +205,13 @@ class SimTwin:
             )
         return np.asarray(q, dtype=np.float64)
 
-    def _write_model(self, sample: TwinSample) -> None:
+    def _write_model(self, sample: VariationSample) -> None:
         """Make the model that of the values drawn, whatever it was before."""
         model = self.scene.model
-        fields = model_fields(self._nominal_model, sample)
-        for name, values in fields.items():
+        fields = model_fields(self._nominal_model, self.scene.task.variations.keys, sample)
+        for name, values in fields.values.items():
             getattr(model, name)[:] = values[0]
-        if needs_set_const(fields):
+        if fields.needs_set_const:
             mujoco.mj_setConst(model, self._data)
 
     def _hold(self) -> None:

@@ -1,4 +1,4 @@
-"""The simulated robot with a twin: the one its seed draws, late servos, sensors with errors."""
+"""The simulated robot with a variation: the one its seed draws, late servos, sensor errors."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from skewmi.deploy.options import DeployOptions
-from skewmi.deploy.robot.backends.mujoco.backend import SimTwin
+from skewmi.deploy.robot.backends.mujoco.backend import MujocoBackend
 from skewmi.errors import ConfigurationError
-from skewmi.sim.arm.batch import OpenPressCloseBatch
+from skewmi.sim.arm.batch import ArmBatch
+from skewmi.sim.tasks.open_press_close.definition import ARM
 from skewmi.trajectory import JointPoint
 
 
-def move(robot: SimTwin, ticks: int, seed: int = 0) -> np.ndarray:
+def move(robot: MujocoBackend, ticks: int, seed: int = 0) -> np.ndarray:
     """Measured arm positions while axis 4 follows a smooth start. Shape (ticks, 7)."""
     q0 = robot.reset_scene(seed)
     measured = []
@@ -26,23 +27,25 @@ def move(robot: SimTwin, ticks: int, seed: int = 0) -> np.ndarray:
 
 
 def test_values_that_equal_the_nominal_ones_change_no_bit() -> None:
-    twin = "{servo: {kp_scale: 1, delay_ms: 0}, box_pose: {x: 0}, sensors: {joint_noise: 0}}"
-    np.testing.assert_array_equal(move(SimTwin(twin=twin), 50), move(SimTwin(), 50))
+    variation = "{servo: {kp_scale: 1, delay_ms: 0}, box_pose: {x: 0}, sensors: {joint_noise: 0}}"
+    np.testing.assert_array_equal(
+        move(MujocoBackend(variation=variation), 50), move(MujocoBackend(), 50)
+    )
 
 
 def test_the_seed_of_the_scene_decides_everything() -> None:
-    robot = SimTwin(twin="randomised")
+    robot = MujocoBackend(variation="randomised")
     first = move(robot, 30, seed=3)
     assert not np.array_equal(move(robot, 30, seed=4), first)
     np.testing.assert_array_equal(move(robot, 30, seed=3), first)
-    np.testing.assert_array_equal(move(SimTwin(twin="randomised"), 30, seed=3), first)
+    np.testing.assert_array_equal(move(MujocoBackend(variation="randomised"), 30, seed=3), first)
 
 
-def test_it_is_the_twin_that_one_environment_of_that_seed_has() -> None:
-    robot = SimTwin(twin="randomised")
+def test_it_is_the_variation_that_one_environment_of_that_seed_has() -> None:
+    robot = MujocoBackend(variation="randomised")
     robot.reset_scene(0)
     robot.reset_scene(5)
-    env = OpenPressCloseBatch(1, num_threads=1, twin="randomised")
+    env = ArmBatch(ARM, 1, num_threads=1, variation="randomised")
     env.reset(5)
     expected, model = env.batch.get_model(0), robot.scene.model
     for field in ("actuator_gainprm", "actuator_biasprm", "dof_frictionloss", "dof_armature",
@@ -52,15 +55,19 @@ def test_it_is_the_twin_that_one_environment_of_that_seed_has() -> None:
 
 
 def test_a_delay_is_a_shift_by_whole_ticks() -> None:
-    late, prompt = (move(SimTwin(twin=f"{{servo: {{delay_ms: {ms}}}}}"), 60) for ms in (20, 0))
+    late, prompt = (
+        move(MujocoBackend(variation=f"{{servo: {{delay_ms: {ms}}}}}"), 60) for ms in (20, 0)
+    )
     # After a reset the arm rests on its servos, so being late is all that differs.
     np.testing.assert_allclose(late[5:], prompt[:-5], atol=1e-6)
     assert prompt[-1, 4] - late[-1, 4] > 1e-3
 
 
 def test_sensor_errors_are_drawn_once_a_tick() -> None:
-    robot = SimTwin(twin="{sensors: {joint_noise: 0.001, lid_bias_deg: 2, button_noise: 0.001}}")
-    exact = SimTwin()
+    robot = MujocoBackend(
+        variation="{sensors: {joint_noise: 0.001, lid_bias_deg: 2, button_noise: 0.001}}"
+    )
+    exact = MujocoBackend()
     errors = move(robot, 150) - move(exact, 150)
     assert errors.std(axis=0) == pytest.approx(0.001, rel=0.3)
     one, two = robot.measure(), robot.measure()
@@ -70,7 +77,7 @@ def test_sensor_errors_are_drawn_once_a_tick() -> None:
 
 
 def test_the_gripper_is_off_by_its_error_before_and_after_a_command() -> None:
-    robot, exact = SimTwin(twin="{gripper: {opening_error: 0.002}}"), SimTwin()
+    robot, exact = MujocoBackend(variation="{gripper: {opening_error: 0.002}}"), MujocoBackend()
     for opening in (None, 0.018):
         gaps = []
         for each in (robot, exact):
@@ -83,6 +90,6 @@ def test_the_gripper_is_off_by_its_error_before_and_after_a_command() -> None:
         assert gaps[0] - gaps[1] == pytest.approx(0.002, abs=1e-4)
 
 
-def test_a_running_robot_has_its_own_twin() -> None:
-    with pytest.raises(ConfigurationError, match="give --twin to the skewmi robot"):
-        DeployOptions(connect="tcp/127.0.0.1:7447", twin="randomised")
+def test_a_running_robot_has_its_own_variation() -> None:
+    with pytest.raises(ConfigurationError, match="give --variation to the skewmi robot"):
+        DeployOptions(connect="tcp/127.0.0.1:7447", variation="randomised")

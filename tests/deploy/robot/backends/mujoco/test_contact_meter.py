@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as hnp
 
 from skewmi.contact import QUANTITIES
 from skewmi.deploy.report import DeployReport, EpisodeReport
-from skewmi.deploy.robot.backends.mujoco.backend import SimTwin
+from skewmi.deploy.robot.backends.mujoco.backend import MujocoBackend
 from skewmi.deploy.robot.backends.mujoco.contact_meter import ContactMeter
 from skewmi.trajectory import JointPoint
 
@@ -64,7 +64,7 @@ def test_tilt_is_the_largest_angle_from_the_held_orientation(
 
 
 def test_a_hand_that_leans_on_the_shut_lid_is_felt_and_a_free_one_is_not() -> None:
-    robot = SimTwin()
+    robot = MujocoBackend()
     q0 = robot.reset_scene(0)
     rest = np.zeros(7)
     assert robot.contact() == {}

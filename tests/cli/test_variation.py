@@ -1,4 +1,4 @@
-"""--twin as a user gives it: to evaluate and to train."""
+"""--variation as a user gives it: to evaluate and to train."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from pathlib import Path
 import pytest
 
 from skewmi.cli.main import main
-from skewmi.sim.variation import Twin
+from skewmi.sim import tasks
 from skewmi.train.checkpoint import load_policy, read_run_header
 
+VARIATIONS = tasks.find("open_press_close").variations
 OPC = ["--task", "open_press_close"]
 
 
@@ -20,35 +21,36 @@ def figures(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> dict:
     return json.loads(capfd.readouterr().out)
 
 
-def test_evaluate_runs_the_twin_it_is_given(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("flag", ["--variation", "--twin"])
+def test_evaluate_runs_the_variation_it_is_given(
+    flag: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "robot.yaml"
     path.write_text("sensors: {lid_bias_deg: 10}\n")
-    nominal, given = figures([], capfd), figures(["--twin", str(path)], capfd)
-    assert (nominal["twin"], given["twin"]) == ("nominal", str(path))
+    nominal, given = figures([], capfd), figures([flag, str(path)], capfd)
+    assert (nominal["variation"], given["variation"]) == ("nominal", str(path))
     lid = [f["final_state"]["lid_angle"]["median"] for f in (nominal, given)]
     assert lid[1] - lid[0] == pytest.approx(0.1745, abs=1e-3)
 
 
-def test_a_run_keeps_the_twin_it_was_started_with(
+def test_a_run_keeps_the_variation_it_was_started_with(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path, run_dir = tmp_path / "robot.yaml", tmp_path / "run"
     path.write_text("seed: 3\nservo: {kp_scale: [0.9, 1.1]}\n")
-    twin = Twin.load(path)
+    variation = VARIATIONS.load(path)
     train = ["train", "--run-dir", str(run_dir), "--num-envs", "2", "--quiet"]
-    assert main([*train, *OPC, "--twin", str(path), "--steps", "400"]) == 0
+    assert main([*train, *OPC, "--variation", str(path), "--steps", "400"]) == 0
     path.write_text("servo: {kp_scale: 2}\n")  # what the run has is what the file said
     assert main([*train, "--resume", "--steps", "800"]) == 0
     config, _ = read_run_header(run_dir)
-    assert Twin.parse(dict(config.task_options)["twin"]) == twin
+    assert VARIATIONS.parse(dict(config.task_options)["variation"]) == variation
     policy = load_policy(run_dir)
-    assert Twin.parse(policy.metadata["task_options"]["twin"]) == twin
+    assert VARIATIONS.parse(policy.metadata["task_options"]["variation"]) == variation
     assert policy.metadata["environment_steps"] == 800
 
     capsys.readouterr()
-    assert main([*train, "--resume", "--steps", "1200", "--twin", str(path)]) == 2
+    assert main([*train, "--resume", "--steps", "1200", "--variation", str(path)]) == 2
     said = capsys.readouterr().err
     assert "is not what the run in" in said
     assert said.count("\n") == 1
@@ -57,9 +59,9 @@ def test_a_run_keeps_the_twin_it_was_started_with(
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ([*OPC, "--twin", "nowhere.yaml"], "no twin file nowhere.yaml"),
-        (["--task", "point_maze", "--twin", "randomised"], "twin"),
-        ([*OPC, "--option", 'twin="randomised"'], "use --twin"),
+        ([*OPC, "--variation", "nowhere.yaml"], "no variation file nowhere.yaml"),
+        (["--task", "point_maze", "--variation", "randomised"], "nothing that varies"),
+        ([*OPC, "--option", 'variation="randomised"'], "use --variation"),
     ],
 )
 def test_bad_input_is_one_line(

@@ -1,0 +1,133 @@
+"""What may vary about an arm, and building blocks for what may vary about the scene before it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from skewmi.policy_io import Array
+from skewmi.robot_models import yumi
+from skewmi.sim.arm.model_fields import ModelFields
+from skewmi.sim.variation import VariationKey
+
+DELAY_MS = "servo.delay_ms"
+OPENING_ERROR = "gripper.opening_error"
+JOINT_NOISE = "sensors.joint_noise"
+"""Keys that are no field of a model: whoever simulates the arm sees to them."""
+
+
+def _scale_stiffness(fields: ModelFields, scale: Array) -> None:
+    servos = _servos(fields)
+    fields.write("actuator_gainprm")[:, servos, 0] *= scale
+    fields.write("actuator_biasprm")[:, servos, 1] *= scale
+
+
+def _scale_damping(fields: ModelFields, scale: Array) -> None:
+    fields.write("actuator_biasprm")[:, _servos(fields), 2] *= scale
+
+
+def _scale_of_joints(field: str) -> Callable[[ModelFields, Array], None]:
+    def scale(fields: ModelFields, values: Array) -> None:
+        dofs = np.array([fields.dof(name) for name in yumi.joint_names("right")])
+        fields.write(field)[:, dofs] *= values
+
+    return scale
+
+
+def _servos(fields: ModelFields) -> Array:
+    return np.array([fields.model.actuator(name).id for name in yumi.joint_names("right")])
+
+
+def _set_friction(fields: ModelFields, value: Array) -> None:
+    # Of all geoms, because a contact takes the larger friction of its two.
+    fields.write("geom_friction")[:, :, 0] = value[:, None]
+
+
+SERVO_KEYS = (
+    VariationKey("servo.kp_scale", 0.2, 5.0, "1", 7, _scale_stiffness),
+    VariationKey("servo.kd_scale", 0.2, 5.0, "1", 7, _scale_damping),
+    VariationKey(
+        "servo.frictionloss_scale", 0.0, 10.0, "1", 7, _scale_of_joints("dof_frictionloss")
+    ),
+    VariationKey("servo.armature_scale", 0.2, 5.0, "1", 7, _scale_of_joints("dof_armature")),
+    VariationKey(DELAY_MS, 0.0, 100.0, "ms"),
+)
+CONTACT_KEYS = (VariationKey("contact.friction", 0.05, 2.0, "1", 1, _set_friction),)
+SENSOR_KEYS = (VariationKey(JOINT_NOISE, 0.0, 0.05, "rad"),)
+GRIPPER_KEYS = (VariationKey(OPENING_ERROR, -0.005, 0.005, "m"),)
+
+ARM_KEYS = (*SERVO_KEYS, *CONTACT_KEYS, *SENSOR_KEYS, *GRIPPER_KEYS)
+"""What may vary whatever stands before the arm."""
+
+
+def joint_key(
+    name: str, field: str, joint: str, low: float, high: float, unit: str
+) -> VariationKey:
+    """A key that sets a number of a scene's joint.
+
+    Args:
+        name: `section.key`.
+        field: `dof_frictionloss`, `dof_damping` or another field with a number for each degree
+            of freedom.
+        joint: Name in the model.
+        low, high: Bounds.
+        unit: Of the value.
+    """
+
+    def apply(fields: ModelFields, value: Array) -> None:
+        fields.write(field)[:, fields.dof(joint)] = value
+
+    return VariationKey(name, low, high, unit, 1, apply)
+
+
+def travel_key(name: str, joint: str, low: float, high: float, unit: str) -> VariationKey:
+    """A key that sets where a scene's joint meets its upper stop; arguments as `joint_key`."""
+
+    def apply(fields: ModelFields, value: Array) -> None:
+        fields.write("jnt_range")[:, fields.model.joint(joint).id, 1] = value
+
+    return VariationKey(name, low, high, unit, 1, apply)
+
+
+def mass_key(name: str, body: str, low: float, high: float) -> VariationKey:
+    """A key that sets the mass of a body, kg: the same shape of another density."""
+
+    def apply(fields: ModelFields, value: Array) -> None:
+        index = fields.model.body(body).id
+        nominal = fields.model.body_mass[index]
+        fields.write("body_inertia")[:, index] *= (value / nominal)[:, None]
+        fields.write("body_mass")[:, index] = value
+
+    return VariationKey(name, low, high, "kg", 1, apply)
+
+
+def pose_keys(
+    section: str, body: str, *, shift: float = 0.05, turn_deg: float = 20.0
+) -> tuple[VariationKey, ...]:
+    """Keys that stand a body elsewhere than where it is believed to stand: x, y and yaw_deg.
+
+    Args:
+        section: Of the keys.
+        body: Child of the world, not turned in the nominal model.
+        shift: Bound of x and y, m.
+        turn_deg: Bound of the turn about the vertical through the body's origin, degrees.
+    """
+
+    def shift_along(axis: int) -> Callable[[ModelFields, Array], None]:
+        def apply(fields: ModelFields, value: Array) -> None:
+            fields.write("body_pos")[:, fields.model.body(body).id, axis] += value
+
+        return apply
+
+    def turn(fields: ModelFields, value: Array) -> None:
+        half = np.radians(value) / 2
+        quaternion_wxyz = np.zeros((len(value), 4))
+        quaternion_wxyz[:, 0], quaternion_wxyz[:, 3] = np.cos(half), np.sin(half)
+        fields.write("body_quat")[:, fields.model.body(body).id] = quaternion_wxyz
+
+    return (
+        VariationKey(f"{section}.x", -shift, shift, "m", 1, shift_along(0)),
+        VariationKey(f"{section}.y", -shift, shift, "m", 1, shift_along(1)),
+        VariationKey(f"{section}.yaw_deg", -turn_deg, turn_deg, "deg", 1, turn),
+    )

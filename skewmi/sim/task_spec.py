@@ -1,0 +1,97 @@
+"""What a task is to everything that does not know it: one `TaskSpec` each."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol
+
+from skewmi.batch_env import BatchEnv, TaskMetrics
+from skewmi.policy_io import PolicyLayout
+from skewmi.sim.variation import Variations
+
+if TYPE_CHECKING:
+    from skewmi.sim.arm.task import ArmTask
+    from skewmi.sim.offscreen import Image
+
+
+class Camera(Protocol):
+    """Draws copies of one environment."""
+
+    def render(self, index: int) -> Image:
+        """Picture of copy `index` now. Shape (height, width, 3)."""
+
+    def close(self) -> None:
+        """Give the OpenGL context back."""
+
+
+@dataclass(frozen=True)
+class Caption:
+    """How a field of the observation is told to people, rounded to whole units.
+
+    Attributes:
+        field: Of the observation.
+        label: What it is called.
+        unit: That people read.
+        scale: How many of these make one of the field's.
+        width: Digits that the number is padded to.
+    """
+
+    field: str
+    label: str
+    unit: str
+    scale: float = 1.0
+    width: int = 3
+
+    def text(self, value: float) -> str:
+        """Such as "lid  90 deg"."""
+        # What rests on a soft stop is a hair below zero: show 0, not -0.
+        number = round(self.scale * value) or 0
+        return f"{self.label} {number:{self.width}d} {self.unit}"
+
+
+@dataclass(frozen=True)
+class TaskSpec:
+    """A task. Whoever needs one takes it from the registry, `skewmi.sim.tasks`.
+
+    Attributes:
+        name: What users call it, the layout's `task`: small letters, digits and underscores.
+        layout: Makes the layout from `layout_switches` as keywords; without any, the default one.
+            Reward and success are its reward region and how long that has to be held.
+        batch: Makes `BatchEnv`s: `batch(num_envs, num_threads=, seed=, **options)`, where
+            `layout_switches` are among the options.
+        camera: Makes what draws copies of one of these, from it, width and height in pixels.
+        layout_switches: Options, off by default, that change the layout.
+        metrics: What is worth measuring while it is learned.
+        planes: Pairs of state fields worth a map of the visited states.
+        captions: What a film tells of an observation.
+        presets: Configurations to train with, `package.module:ATTRIBUTE` by name, beside those
+            that `skewmi.train.presets` has.
+        variations: What may differ from the nominal model.
+        arm: What stands before the robot; None for a task without a robot, which cannot be
+            deployed.
+    """
+
+    name: str
+    layout: Callable[..., PolicyLayout]
+    batch: Callable[..., BatchEnv]
+    camera: Callable[[Any, int, int], Camera]
+    layout_switches: tuple[str, ...] = ()
+    metrics: TaskMetrics = field(default_factory=TaskMetrics)
+    planes: tuple[tuple[str, str], ...] = ()
+    captions: tuple[Caption, ...] = ()
+    presets: Mapping[str, str] = field(default_factory=dict)
+    variations: Variations = field(default_factory=Variations)
+    arm: ArmTask | None = None
+
+    @property
+    def scene_fields(self) -> dict[str, str]:
+        """Observation field of each joint that a robot's scene states tell; empty without one."""
+        return {} if self.arm is None else self.arm.scene_fields
+
+    def layouts(self) -> Iterator[tuple[dict[str, bool], PolicyLayout]]:
+        """Every layout that the task has, with the options that give it, the default one first."""
+        for values in itertools.product((False, True), repeat=len(self.layout_switches)):
+            options = dict(zip(self.layout_switches, values, strict=True))
+            yield {name: True for name, on in options.items() if on}, self.layout(**options)
