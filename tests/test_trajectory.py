@@ -24,7 +24,8 @@ from skewmi.trajectory import (
 )
 
 LAB = limits.profile("lab")
-HOME, START = np.array(yumi.HOME["right"]), np.array(yumi.PRESS_START_CONFIGURATION)
+HOME = np.array(yumi.HOME["right"])
+START = HOME + np.linspace(0.3, -0.3, 7)
 
 
 def polynomial(coefficients: Array, times_s: Array) -> JointTrajectory:
