@@ -26,7 +26,7 @@ LAYOUT = "layout"
 LIMITS = "limits"
 """Key: JSON object of limit name (position_lower, velocity, ...) to seven numbers."""
 SCENE = "scene"
-"""Key: JSON list of scene parts as `scene_geometry.SceneGeometry`."""
+"""Key: JSON list of scene parts as `wire.scene_geometry.SceneGeometry`."""
 
 _TORN = (
     McapError,

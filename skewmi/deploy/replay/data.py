@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skewmi.deploy.recording.reader import LAYOUT, LIMITS, SCENE
-from skewmi.deploy.recording.scene_geometry import SceneGeometry
 from skewmi.deploy.wire.messages import Status
+from skewmi.deploy.wire.scene_geometry import SceneGeometry
 from skewmi.errors import ConfigurationError
 from skewmi.policy_io import PolicyLayout
 from skewmi.robot_models import frames

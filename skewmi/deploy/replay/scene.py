@@ -11,9 +11,9 @@ from xml.etree import ElementTree
 import numpy as np
 import rerun as rr
 
-from skewmi.deploy.recording.scene_geometry import SceneGeometry, SceneJoint
 from skewmi.deploy.replay.data import Motion, Run, Series
 from skewmi.deploy.replay.style import BOX, COMMANDED, MEASURED, TIMELINE, Array, Canvas
+from skewmi.deploy.wire.scene_geometry import SceneGeometry, SceneJoint
 from skewmi.policy_io import Workspace
 from skewmi.robot_models import frames, yumi
 from skewmi.robot_models.urdf import build_urdf

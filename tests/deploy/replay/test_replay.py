@@ -13,13 +13,13 @@ from rerun.chunk import RrdReader
 
 from skewmi.cli.replay import ReplayCommand, run_replay
 from skewmi.deploy.recording.reader import METADATA_NAME, read_recording, run_metadata
-from skewmi.deploy.recording.scene_geometry import SceneGeometry
 from skewmi.deploy.recording.writer import RecordingWriter
 from skewmi.deploy.replay.assembler import understand
 from skewmi.deploy.replay.data import Motion, tracking_error
 from skewmi.deploy.replay.replay import write_replay
 from skewmi.deploy.wire import messages, topics
 from skewmi.deploy.wire.messages import JointStates, Status
+from skewmi.deploy.wire.scene_geometry import SceneGeometry
 from skewmi.errors import ConfigurationError
 from skewmi.policy_io import ActionField, Ball, Field, PolicyLayout, Workspace
 from skewmi.robot_models import frames, limits, yumi

@@ -8,9 +8,9 @@ from collections import deque
 import mujoco
 import numpy as np
 
-from skewmi.deploy.recording.scene_geometry import SceneGeometry
 from skewmi.deploy.robot.backend import BackendFaultError, Measurement
 from skewmi.deploy.robot.backends.mujoco.contact_meter import ContactMeter
+from skewmi.deploy.wire.scene_geometry import SceneGeometry
 from skewmi.errors import CommandRefusedError, ConfigurationError, NotFoundError
 from skewmi.policy_io import Array, PolicyLayout
 from skewmi.robot_models import yumi
