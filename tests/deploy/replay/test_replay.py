@@ -17,6 +17,7 @@ from skewmi.deploy.recording.writer import RecordingWriter
 from skewmi.deploy.replay.assembler import understand
 from skewmi.deploy.replay.data import Motion, tracking_error
 from skewmi.deploy.replay.replay import write_replay
+from skewmi.deploy.robot.backends.mujoco.scene_geometry import scene_geometry
 from skewmi.deploy.wire import messages, topics
 from skewmi.deploy.wire.messages import JointStates, Status
 from skewmi.deploy.wire.scene_geometry import SceneGeometry
@@ -99,7 +100,7 @@ def write_recording(path: Path, *, metadata: bool = True) -> None:
             content = run_metadata(
                 layout_json=LAYOUT.to_json(),
                 limits=bounds,
-                scene=SceneGeometry.from_model(model).to_json(),
+                scene=scene_geometry(model).to_json(),
             )
             writer.add_metadata(METADATA_NAME, content)
         for cycle in range(int(DURATION_S * 50)):
@@ -196,7 +197,7 @@ def test_file_holds_robot_scene_curves_and_events(recorded, tmp_path):
 
 def test_scene_geometry_leaves_out_robot_and_floor_and_moves_as_mujoco_does():
     model = mujoco.MjModel.from_xml_string(SCENE)
-    geometry = SceneGeometry.from_model(model)
+    geometry = scene_geometry(model)
     assert SceneGeometry.from_json(geometry.to_json()) == geometry
     assert {part.name: part.joint for part in geometry.parts} == {
         "wall": "",
@@ -233,7 +234,7 @@ def test_hinge_in_the_file_turns_about_its_axis(recorded, tmp_path):
     translation = next(v for k, v in table.items() if "translation" in k)
     quaternion = next(v for k, v in table.items() if "quaternion" in k)
     model = mujoco.MjModel.from_xml_string(SCENE)
-    geometry = SceneGeometry.from_model(model)
+    geometry = scene_geometry(model)
     plate = next(part for part in geometry.parts if part.name == "plate")
     data = mujoco.MjData(model)
     for row in (0, len(translation) // 2, len(translation) - 1):

@@ -10,7 +10,7 @@ import numpy as np
 
 from skewmi.deploy.robot.backend import BackendFaultError, Measurement
 from skewmi.deploy.robot.backends.mujoco.contact_meter import ContactMeter
-from skewmi.deploy.wire.scene_geometry import SceneGeometry
+from skewmi.deploy.robot.backends.mujoco.scene_geometry import scene_geometry
 from skewmi.errors import CommandRefusedError, ConfigurationError, NotFoundError
 from skewmi.policy_io import Array, PolicyLayout
 from skewmi.robot_models import yumi
@@ -64,7 +64,7 @@ class MujocoBackend:
         self.layout_hashes = tuple(layout.hash() for _, layout in spec.layouts())
         self.joint_names = yumi.joint_names("right")
         self.scene = ArmScene(spec.arm)
-        self.scene_json = SceneGeometry.from_model(self.scene.model, spec.scene_fields).to_json()
+        self.scene_json = scene_geometry(self.scene.model, spec.scene_fields).to_json()
         self._data = mujoco.MjData(self.scene.model)
         self._substeps = round(GRID_S / self.scene.model.opt.timestep)
         if abs(self._substeps * self.scene.model.opt.timestep - GRID_S) > 1e-12:
