@@ -15,7 +15,7 @@ from skewmi.deploy.replay.live import LiveView
 from skewmi.deploy.report import DeployReport
 from skewmi.deploy.robot.description import SCENE_REQUEST, RobotDescription, limit_values
 from skewmi.deploy.robot.process import simulated_robot_process
-from skewmi.deploy.session.preflight import planning_limits
+from skewmi.deploy.session.pace import planning_limits
 from skewmi.deploy.session.session import Session
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.transport import Link, TransportConfig

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skewmi.deploy.recording.reader import LAYOUT, Recording
-from skewmi.deploy.session.session import STATUS_NAME
-from skewmi.deploy.session.states import SessionState
+from skewmi.deploy.session.states import STATUS_NAME, SessionState
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.messages import JointStates, decode_joint_states, decode_status
 from skewmi.errors import ConfigurationError

@@ -12,7 +12,7 @@ from PIL import Image
 from skewmi.cli.main import main
 from skewmi.deploy.recording.reader import METADATA_NAME, run_metadata
 from skewmi.deploy.recording.writer import RecordingWriter
-from skewmi.deploy.session.session import STATUS_NAME
+from skewmi.deploy.session.states import STATUS_NAME
 from skewmi.deploy.wire import messages, topics
 from skewmi.deploy.wire.messages import JointStates, Status
 from skewmi.robot_models import yumi

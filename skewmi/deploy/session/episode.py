@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -12,6 +11,7 @@ from skewmi.deploy.motion.planner import Planner
 from skewmi.deploy.motion.start_motion import StartMotion
 from skewmi.deploy.session.hand_follower import HandFollower
 from skewmi.deploy.session.observer import ArmState, Observer
+from skewmi.deploy.session.pace import action_cycles
 from skewmi.deploy.session.robot_client import LateChunkError
 from skewmi.deploy.session.stream import ChunkStream
 from skewmi.deploy.session.timing import CycleTimes
@@ -43,11 +43,6 @@ class PolicyEnd:
     held_back: int
     """Cycles in which the planner braked instead of following, e.g. at the edge of the box."""
     held_back_reason: str
-
-
-def action_cycles(control_dt: float, speed: float) -> int:
-    """Planner cycles that a control step takes, at a share of the training's speed or slower."""
-    return math.ceil(control_dt * 1e9 / CYCLE_NS / speed - 1e-6)
 
 
 class EpisodeRunner:

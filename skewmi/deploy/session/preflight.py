@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from skewmi.deploy.motion.start_motion import StartMotion
@@ -11,7 +9,6 @@ from skewmi.deploy.robot.description import RobotDescription, limit_values
 from skewmi.deploy.safety.checks import ChunkChecks
 from skewmi.errors import ConfigurationError, LayoutMismatchError
 from skewmi.policy_io import Array, PolicyLayout, Workspace
-from skewmi.robot_models import limits as joint_limits
 from skewmi.robot_models import yumi
 from skewmi.robot_models.frames import rotation_from_quaternion
 from skewmi.robot_models.kinematics import ArmKinematics, require_converged
@@ -74,39 +71,6 @@ def check_agreement(
             f"{server.state_period_ns} ns; this session needs {GRID_NS} and {CYCLE_NS}"
         )
     _check_limits(limits, server)
-
-
-def planning_limits(profile: str, speed: float) -> JointLimits:
-    """The joint limits to plan with: a profile's, with no more than a share of full velocity.
-
-    Full velocity is that of the fastest profile, so that a slow profile is not slowed down a
-    second time. Acceleration and jerk stay: a slower robot shall not need longer to stop.
-
-    Args:
-        profile: Name of the profile.
-        speed: Share of the training's speed, 0..1.
-
-    Raises:
-        NotFoundError: No such profile.
-    """
-    limits = joint_limits.profile(profile)
-    full = np.max([other.velocity for other in joint_limits.PROFILES.values()], axis=0)
-    return replace(limits, velocity=np.minimum(limits.velocity, speed * full))
-
-
-def followed_speed(layout: PolicyLayout, speed: float, hand_speed: float) -> float:
-    """The share of the training's speed at which the hand can follow full actions.
-
-    Args:
-        layout: Its actions and control step say how fast the policy may ask the hand to move.
-        speed: The share that was asked for.
-        hand_speed: What the joint limits allow the hand, m/s.
-
-    Returns:
-        `speed`, or less.
-    """
-    asked = float(layout.action_scale[:3].max()) / layout.control_dt
-    return min(speed, hand_speed / asked)
 
 
 def draw_start(workspace: Workspace, seed: int, spread: float, q_near: Array) -> Array:

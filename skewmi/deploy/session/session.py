@@ -19,17 +19,17 @@ from skewmi.deploy.realtime import hot_loop
 from skewmi.deploy.report import DeployReport, EpisodeReport
 from skewmi.deploy.robot.states import ServerState
 from skewmi.deploy.safety.checks import ChunkChecks
-from skewmi.deploy.session.episode import EpisodeRunner, action_cycles
+from skewmi.deploy.session.episode import EpisodeRunner
 from skewmi.deploy.session.observer import ArmState, Observer
-from skewmi.deploy.session.preflight import (
-    check_agreement,
-    check_way,
-    draw_start,
-    followed_speed,
-    planning_limits,
-)
+from skewmi.deploy.session.pace import action_cycles, followed_speed, planning_limits
+from skewmi.deploy.session.preflight import check_agreement, check_way, draw_start
 from skewmi.deploy.session.robot_client import RobotClient, StopRequestedError
-from skewmi.deploy.session.states import SESSION_TABLE, SessionEvent, SessionState
+from skewmi.deploy.session.states import (
+    SESSION_TABLE,
+    STATUS_NAME,
+    SessionEvent,
+    SessionState,
+)
 from skewmi.deploy.session.stream import ChunkStream
 from skewmi.deploy.session.timing import CycleTimes
 from skewmi.deploy.state_machine import StateMachine, Transition
@@ -49,7 +49,6 @@ from skewmi.trajectory import CYCLE_NS, CYCLE_TICKS
 
 _log = logging.getLogger(__name__)
 
-STATUS_NAME = "skewmi_deploy"
 _WARM_CYCLES = 10
 
 

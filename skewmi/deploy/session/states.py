@@ -6,6 +6,9 @@ from enum import Enum
 
 from skewmi.deploy.state_machine import TransitionTable
 
+STATUS_NAME = "skewmi_deploy"
+"""Name under which the session tells its states."""
+
 
 class SessionState(Enum):
     CONNECTING = "connecting"

@@ -15,7 +15,7 @@ from skewmi.deploy.motion.planner import Planner
 from skewmi.deploy.motion.start_motion import StartMotion
 from skewmi.deploy.session import episode as episode_module
 from skewmi.deploy.session import session as session_module
-from skewmi.deploy.session.preflight import planning_limits
+from skewmi.deploy.session.pace import planning_limits
 from skewmi.robot_models.limits import JointLimits
 from skewmi.trajectory import CYCLE_TICKS, JointTrajectory
 

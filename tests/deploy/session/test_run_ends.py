@@ -35,7 +35,7 @@ from skewmi.deploy.robot.run import SimulatedRobotOptions, run_simulated_robot
 from skewmi.deploy.robot.server import RobotServer
 from skewmi.deploy.run import run_deploy
 from skewmi.deploy.session import session as session_module
-from skewmi.deploy.session.episode import action_cycles
+from skewmi.deploy.session.pace import action_cycles
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.transport import Link, TransportConfig
 from skewmi.errors import ConfigurationError, SkewmiError

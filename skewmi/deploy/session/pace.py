@@ -1,0 +1,51 @@
+"""How fast a run is: the joint limits to plan with, and how long a control step takes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from skewmi.policy_io import PolicyLayout
+from skewmi.robot_models import limits as joint_limits
+from skewmi.robot_models.limits import JointLimits
+from skewmi.trajectory import CYCLE_NS
+
+
+def planning_limits(profile: str, speed: float) -> JointLimits:
+    """The joint limits to plan with: a profile's, with no more than a share of full velocity.
+
+    Full velocity is that of the fastest profile, so that a slow profile is not slowed down a
+    second time. Acceleration and jerk stay: a slower robot shall not need longer to stop.
+
+    Args:
+        profile: Name of the profile.
+        speed: Share of the training's speed, 0..1.
+
+    Raises:
+        NotFoundError: No such profile.
+    """
+    limits = joint_limits.profile(profile)
+    full = np.max([other.velocity for other in joint_limits.PROFILES.values()], axis=0)
+    return replace(limits, velocity=np.minimum(limits.velocity, speed * full))
+
+
+def followed_speed(layout: PolicyLayout, speed: float, hand_speed: float) -> float:
+    """The share of the training's speed at which the hand can follow full actions.
+
+    Args:
+        layout: Its actions and control step say how fast the policy may ask the hand to move.
+        speed: The share that was asked for.
+        hand_speed: What the joint limits allow the hand, m/s.
+
+    Returns:
+        `speed`, or less.
+    """
+    asked = float(layout.action_scale[:3].max()) / layout.control_dt
+    return min(speed, hand_speed / asked)
+
+
+def action_cycles(control_dt: float, speed: float) -> int:
+    """Planner cycles that a control step takes, at a share of the training's speed or slower."""
+    return math.ceil(control_dt * 1e9 / CYCLE_NS / speed - 1e-6)
