@@ -15,11 +15,12 @@ from skewmi.deploy.replay.live import LiveView
 from skewmi.deploy.report import DeployReport
 from skewmi.deploy.robot.description import SCENE_REQUEST, RobotDescription, limit_values
 from skewmi.deploy.robot.process import simulated_robot_process
+from skewmi.deploy.session.connect import connect
 from skewmi.deploy.session.pace import planning_limits
-from skewmi.deploy.session.session import Session
+from skewmi.deploy.session.preflight import require_workspace
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.transport import Link, TransportConfig
-from skewmi.errors import LayoutMismatchError, TransportError
+from skewmi.errors import TransportError
 from skewmi.policy_io import Policy
 from skewmi.robot_models import limits as joint_limits
 from skewmi.robot_models import yumi
@@ -54,10 +55,7 @@ def run_deploy(
     stop = threading.Event() if stop is None else stop
     tell = (lambda text: None) if on_event is None else on_event
     profile = joint_limits.profile(options.limits)
-    if policy.layout.workspace is None:
-        raise LayoutMismatchError(
-            f"task {policy.layout.task!r} has no workspace: there is no robot to deploy it on"
-        )
+    require_workspace(policy.layout)
     report = DeployReport(
         task=policy.layout.task,
         robot=options.connect or str(options.zenoh_config or "sim"),
@@ -85,7 +83,7 @@ def run_deploy(
         )
         with Link.open(config, NODE_NAME) as link:
             link.wait_for_robot(5.0)
-            session = Session(policy, options, link, report, stop, tell)
+            session = connect(policy, options, link, report, stop, tell)
             with _beside(options, policy, link, config, report):
                 session.run()
     return report

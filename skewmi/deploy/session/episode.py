@@ -1,250 +1,186 @@
-"""The moving part of an episode: to the start pose, then the policy, one cycle per robot state."""
+"""One episode: preflight, the way to the start, the policy, and rest, whatever happens."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import logging
 from dataclasses import dataclass
 
 import numpy as np
 
-from skewmi.deploy.motion.planner import Planner
-from skewmi.deploy.motion.start_motion import StartMotion
-from skewmi.deploy.session.hand_follower import HandFollower
-from skewmi.deploy.session.observer import ArmState, Observer
-from skewmi.deploy.session.pace import action_cycles
-from skewmi.deploy.session.robot_client import LateChunkError
-from skewmi.deploy.session.stream import ChunkStream
-from skewmi.deploy.session.timing import CycleTimes
-from skewmi.deploy.wire.messages import JointStates, encode_joint_states
-from skewmi.errors import CommandRefusedError
-from skewmi.hand_command import integrate_command
-from skewmi.policy_io import Array, Policy, inside_region
-from skewmi.robot_models.limits import JointLimits
-from skewmi.trajectory import CYCLE_NS, CYCLE_TICKS
+from skewmi.deploy.options import DeployOptions
+from skewmi.deploy.report import EpisodeReport
+from skewmi.deploy.robot.description import RobotDescription
+from skewmi.deploy.robot.states import ServerState
+from skewmi.deploy.safety.checks import ChunkChecks
+from skewmi.deploy.session.approach import Approach
+from skewmi.deploy.session.arm_state import ArmState
+from skewmi.deploy.session.control_loop import ControlLoop
+from skewmi.deploy.session.interrupt import StopRequestedError
+from skewmi.deploy.session.policy_motion import PolicyMotion
+from skewmi.deploy.session.preflight import Preflight
+from skewmi.deploy.session.robot_client import LateChunkError, RobotClient
+from skewmi.deploy.session.states import SessionEvent, SessionState
+from skewmi.deploy.session.status import SessionStatus
+from skewmi.errors import SkewmiError, TransportError
+from skewmi.policy_io import Array, PolicyLayout
 
-START_ATTEMPTS = 3
-"""Start motions after one that was late and therefore stopped half-way."""
-
-RESYNCS = 10
+RECOVERIES = 10
 """How often per episode the arm may come to rest because its commands were late."""
 
-REACHED = 0.02
-"""Largest joint error at which the start pose counts as reached, rad."""
+_log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True)
-class PolicyEnd:
-    """How the policy's part of an episode ended."""
+@dataclass
+class _Ending:
+    """How an episode ends, as far as that is known."""
 
-    success: bool
-    steps: int
-    """Control steps that the policy was asked for."""
-    observation: Array
-    held_back: int
-    """Cycles in which the planner braked instead of following, e.g. at the edge of the box."""
-    held_back_reason: str
+    outcome: SessionState
+    reason: str
+    go_on: bool
+    """Whether another episode may follow."""
 
 
 class EpisodeRunner:
-    """Runs start motions and policies on a stream.
+    """Runs episodes, one after the other.
 
     Args:
-        policy: What decides.
-        planner: Plans hand motion.
-        observer: Where states come from.
-        stream: Where chunks go to.
-        times: Stage times.
-        limits: That start motions keep.
-        speed: 1 for the speed of training; less stretches every control step, to whole cycles.
-        supervise: Called every cycle with the newest state; raises to stop, and
-            `LateChunkError` if the robot server refused a chunk for being late.
-        resync: Waits until the arm rests; gives where the server holds it and the newest state.
-        publish_policy: Called with encoded observation and action after every control step, and
-            with the observation that ended the episode, and None.
-        publish_gripper: Called with an opening, m.
+        layout: Of the policy.
+        options: Seed, whether to send anything.
+        preflight: What comes before any motion.
+        approach: Moves the arm to the start.
+        policy: The motion that the policy commands.
+        loop: Carries it out.
+        checks: That every chunk has to pass.
+        robot: Gets the arm back at the end.
+        status: Told what happens.
     """
 
     def __init__(
         self,
-        policy: Policy,
-        planner: Planner,
-        observer: Observer,
-        stream: ChunkStream,
-        times: CycleTimes,
-        limits: JointLimits,
-        *,
-        speed: float,
-        supervise: Callable[[ArmState], None],
-        resync: Callable[[], tuple[Array, ArmState]],
-        publish_policy: Callable[[bytes, bytes | None], None],
-        publish_gripper: Callable[[float], None],
+        layout: PolicyLayout,
+        options: DeployOptions,
+        preflight: Preflight,
+        approach: Approach,
+        policy: PolicyMotion,
+        loop: ControlLoop,
+        checks: ChunkChecks,
+        robot: RobotClient,
+        status: SessionStatus,
     ) -> None:
+        self._layout = layout
+        self._options = options
+        self._preflight = preflight
+        self._approach = approach
         self._policy = policy
-        self._layout = policy.layout
-        self._planner = planner
-        self._observer = observer
-        self._stream = stream
-        self._times = times
-        self._limits = limits
-        self._supervise = supervise
-        self._resync = resync
-        self._publish_policy = publish_policy
-        self._publish_gripper = publish_gripper
-        self._action_cycles = action_cycles(self._layout.control_dt, speed)
-        self._action_names = tuple(field.name for field in self._layout.action)
-        self._scale = self._layout.action_scale
-        self.steps = 0
-        """Control steps of the present or last episode."""
+        self._loop = loop
+        self._checks = checks
+        self._robot = robot
+        self._status = status
 
-    def move_to(self, q_commanded: Array, q_goal: Array, state: ArmState) -> ArmState:
-        """Move in joint space and wait until the arm is there.
+    def run(self, index: int) -> tuple[EpisodeReport, bool]:
+        """Run an episode; it ends at rest. Nothing that goes wrong in it leaves here.
 
         Args:
-            q_commanded: Where the robot server holds the arm, rad. Shape (7,).
-            q_goal: Where to go, rad. Shape (7,).
-            state: Newest state.
+            index: Which, from 0.
 
         Returns:
-            The newest state, with the arm at rest at `q_goal`.
+            What happened, and whether another episode may follow.
+        """
+        seed = int(np.random.SeedSequence([self._options.seed, index]).generate_state(1)[0])
+        self._policy.forget()
+        go_on = self._move(seed)
+        ending = _Ending(self._status.state, self._status.reason, go_on)
+        at_rest = self._give_back(ending)
+        self._status.fire(SessionEvent.AT_REST, f"after {ending.outcome.value}")
+        stopping = ending.outcome is SessionState.STOPPING
+        final = self._policy.observation
+        names = self._layout.observation_names[: len(final)]
+        report = EpisodeReport(
+            index,
+            "stopped" if stopping else ending.outcome.value,
+            ending.reason,
+            self._policy.steps,
+            seed,
+            dict(zip(names, map(float, final), strict=True)),
+            {} if at_rest is None else dict(at_rest.contact),
+        )
+        return report, ending.go_on
+
+    def _move(self, seed: int) -> bool:
+        """The part in which the arm is ours. Whatever ends it: nothing is sent afterwards.
+
+        Returns:
+            Whether another episode may follow.
+        """
+        try:
+            self._carry_out(seed)
+        except StopRequestedError as error:
+            self._status.fire(SessionEvent.STOP, str(error))
+            return False
+        except TransportError as error:
+            self._status.fire(SessionEvent.FAULT, str(error))
+            return False
+        except SkewmiError as error:
+            self._status.fire(SessionEvent.STOP, str(error))
+        except Exception as error:
+            _log.exception("the cycle failed")
+            self._status.fire(SessionEvent.FAULT, f"{type(error).__name__}: {error}")
+            return False
+        return True
+
+    def _carry_out(self, seed: int) -> None:
+        """Preflight, way to the start, policy.
 
         Raises:
-            LimitViolationError: The way breaks a limit.
-            CommandRefusedError: The arm did not arrive.
+            Exception: Anything at all.
         """
-        q = q_commanded
-        for _ in range(START_ATTEMPTS):
-            state, q, arrived = self._try_move(q, q_goal, state)
-            if arrived:
-                error = float(np.abs(state.q - q_goal).max())
-                if error > REACHED:
-                    raise CommandRefusedError(
-                        f"the arm stands {error:.3f} rad from the start configuration; "
-                        f"at most {REACHED} rad are allowed: is something in its way, or were "
-                        "commands lost?"
-                    )
-                return state
-        raise CommandRefusedError(f"{START_ATTEMPTS} start motions came too late; is the CPU free?")
+        self._checks.boxed = False
+        ready = self._preflight.run(seed)
+        self._status.fire(
+            SessionEvent.READY, "hashes and limits agree, states are fresh, way is free"
+        )
+        state, q = ready.state, ready.q
+        at_start = "dry run: the arm stays where it is"
+        if not self._options.dry_run:
+            state = self._approach.run(ready.q_goal, q, state)
+            q, at_start = ready.q_goal, "the arm rests at the start"
+        self._status.fire(SessionEvent.AT_START, at_start)
+        self._checks.boxed = True
+        self._run_policy(q, state)
+        end = self._policy
+        reason = "the task is solved" if end.success else f"{end.steps} steps are used up"
+        if end.held_back:
+            reason += f"; held back for {end.held_back} cycles ({end.held_back_reason})"
+        self._status.fire(SessionEvent.SUCCESS if end.success else SessionEvent.TIME_OVER, reason)
 
-    def _try_move(self, q: Array, q_goal: Array, state: ArmState) -> tuple[ArmState, Array, bool]:
-        """One attempt; gives up, braking, when a chunk would be late."""
-        stream = self._stream
-        motion = StartMotion(q, q_goal, self._limits)
-        stream.begin(q, state.stamp_ns)
-        cycle, late, rest_ns = 0, False, 1 << 62
+    def _run_policy(self, q: Array, state: ArmState) -> None:
+        """Let the policy command the hand until success or the end of the episode's time."""
+        recoveries = 0
         while True:
-            assert stream.sent is not None
-            if cycle >= motion.cycles or late:
-                rest_ns = min(rest_ns, stream.rest_ns)
-            if state.stamp_ns >= rest_ns:
-                return state, stream.sent.trajectory.q[-1], not late
-            self._times.start(state.received_ns)
-            self._observer.check_scene()
-            for splice in () if late else stream.due(state.stamp_ns, state.received_ns):
-                # Braking has begun: this motion cannot be taken up again, another one can.
-                if splice != CYCLE_TICKS:
-                    late = True
-                    break
-                chunk = motion.chunk(cycle)
-                self._times.lap("plan")
-                stream.send(chunk)
-                cycle += 1
-            self._times.stop()
-            state = self._observer.next_state()
             try:
-                self._supervise(state)
+                self._loop.run(self._policy, q, state)
             except LateChunkError:
-                q, state = self._resync()
-                return state, q, False
-
-    def run_policy(self, q_start: Array, state: ArmState) -> PolicyEnd:
-        """Let the policy command the hand until success or the end of the episode's time.
-
-        Args:
-            q_start: Where the robot server holds the arm, rad. Shape (7,).
-            state: Newest state.
-
-        Raises:
-            SkewmiError: Whatever stops an episode; nothing has been sent since.
-        """
-        layout, observer, stream, times = self._layout, self._observer, self._stream, self._times
-        planner, policy = self._planner, self._policy
-        workspace = layout.workspace
-        assert workspace is not None
-        self.steps = 0
-        policy.reset()
-        planner.reset(q_start)
-        stream.begin(q_start, state.stamp_ns)
-        control_s = self._action_cycles * CYCLE_NS / 1e9
-        opening = workspace.gripper_opening
-        step, held, wait, resyncs, held_back, reason = 0, 0, 0, 0, 0, ""
-        waiting = False
-        follower = HandFollower(layout, observer, stream, state)
-        while True:
-            times.start(state.received_ns)
-            observer.check_scene()
-            for splice in stream.due(state.stamp_ns, state.received_ns):
-                # After a late cycle the next action is due as much sooner.
-                wait -= splice // CYCLE_TICKS
-                acts = wait < 0
-                if acts:
-                    wait = max(0, wait + self._action_cycles)
-                    hand = observer.hand_position(state)
-                    observation = observer.observation(state, hand, step)
-                    times.lap("observe")
-                    held = held + 1 if step and bool(inside_region(layout, observation)) else 0
-                    success = held >= layout.success_hold_steps
-                    if success or step == layout.episode_steps:
-                        # What decided the outcome belongs to the record, too.
-                        self._publish_step(state.stamp_ns, observation)
-                        return PolicyEnd(success, step, observation, held_back, reason)
-                    action = policy.act(observation)
-                    times.lap("policy")
-                    command = planner.command_position
-                    ahead = follower.ahead(state, command)
-                    stall = follower.stall_of_step(state, ahead, command)
-                    target = integrate_command(layout, command, action, ahead, stall)
-                    # Lag costs a policy more than a cut corner: with corners kept, 93 of 100
-                    # deployed episodes succeeded instead of 99.
-                    planner.set_target(target, control_s, at_once=True)
-                    waiting = False
-                    step += 1
-                    self.steps = step
-                elif not waiting and follower.must_wait(state, target):
-                    # As in training, the command ends where the hand no longer follows it.
-                    planner.set_target(follower.commanded(state), CYCLE_NS / 1e9, at_once=True)
-                    waiting = True
-                chunk = planner.step(splice)
-                times.lap("plan")
-                stream.send(chunk)
-                if planner.held_back is not None:
-                    held_back += 1
-                    reason = planner.held_back
-                if acts:
-                    if layout.action_dim > 3:
-                        travel = float(np.clip(action[3], -1.0, 1.0)) * self._scale[3]
-                        opening = float(np.clip(opening + travel, 0.0, 0.025))
-                        self._publish_gripper(opening)
-                    self._publish_step(state.stamp_ns, observation, action)
-                    times.lap("record")
-            times.stop()
-            state = observer.next_state()
-            try:
-                self._supervise(state)
-            except LateChunkError:
-                resyncs += 1
-                if resyncs > RESYNCS:
+                recoveries += 1
+                if recoveries > RECOVERIES:
                     raise
-                q, state = self._resync()
-                planner.reset(q)
-                stream.begin(q, state.stamp_ns)
+                q, state = self._loop.recover()
+            else:
+                return
 
-    def _publish_step(self, stamp_ns: int, observation: Array, action: Array | None = None) -> None:
-        layout = self._layout
-        seen = _encode(stamp_ns, layout.observation_names, observation)
-        done = None if action is None else _encode(stamp_ns, self._action_names, action)
-        self._publish_policy(seen, done)
+    def _give_back(self, ending: _Ending) -> RobotDescription | None:
+        """Give the arm back; what the robot server says when it rests, if it does."""
+        try:
+            at_rest = self._robot.disarm()
+        except SkewmiError as error:
+            self._add_fault(ending, str(error))
+            return None
+        if at_rest is not None and at_rest.state == ServerState.FAULT.value:
+            ending.go_on = False
+            if ending.outcome is not SessionState.FAULT:
+                self._add_fault(ending, f"the robot server is in fault: {at_rest.reason}")
+        return at_rest
 
-
-def _encode(stamp_ns: int, names: tuple[str, ...], values: Array) -> bytes:
-    nothing = values[:0]
-    return encode_joint_states(JointStates(stamp_ns, names, values, nothing, nothing))
+    def _add_fault(self, ending: _Ending, what: str) -> None:
+        ending.go_on = False
+        ending.outcome, ending.reason = SessionState.FAULT, f"{ending.reason}; then {what}"
+        self._status.fire(SessionEvent.FAULT, ending.reason)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from skewmi.deploy.session.observer import ArmState, Observer
+from skewmi.deploy.session.arm_state import ArmState
+from skewmi.deploy.session.observer import Observer
 from skewmi.deploy.session.stream import ChunkStream
 from skewmi.hand_command import remembered_stall, stalled
 from skewmi.policy_io import Array, PolicyLayout

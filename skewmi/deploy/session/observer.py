@@ -3,28 +3,20 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 
-import numpy as np
-
+from skewmi.deploy.session.arm_state import ArmState, ArmStateDecoder
+from skewmi.deploy.session.scene_states import SceneStates, StaleStateError
 from skewmi.deploy.wire import topics
-from skewmi.deploy.wire.messages import JointStates, decode_joint_states
 from skewmi.deploy.wire.transport import LatestReader, Link, Sample
-from skewmi.errors import SkewmiError, TransportError
 from skewmi.policy_io import TIME_FIELD, Array, PolicyLayout, assemble_observation
-from skewmi.robot_models import frames
+from skewmi.robot_models import frames, yumi
 from skewmi.robot_models.kinematics import ArmKinematics
 
 MAX_JOINT_AGE_S = 0.100
 """Joint states older than this stop the arm."""
-MAX_SCENE_AGE_S = 0.200
-"""Scene states older than this stop the arm."""
 LOCK_STEP_PATIENCE_S = 30.0
 """In lock-step nothing is ever old; a robot server that says nothing for so long is gone."""
-
-_ARM_FIELDS = {"hand_x", "hand_y", "hand_z", "gripper", TIME_FIELD}
-"""Observation fields that joint states and clock tell; the rest is the scene's."""
 
 _FIRST_STATES = 5
 """Joint states that may come before the first scene state."""
@@ -33,83 +25,68 @@ _POLL_S = 250e-6
 _EARLY_S = 0.002
 
 
-class StaleStateError(SkewmiError):
-    """Joint or scene states are too old to act upon."""
-
-
-@dataclass(frozen=True)
-class ArmState:
-    """One joint state message, taken apart.
-
-    Attributes:
-        stamp_ns: The robot server's clock when it was measured.
-        received_ns: Our monotonic clock when it arrived.
-        q: Measured arm joints, chain order, rad. Shape (7,).
-        v: Measured velocities, rad/s. Shape (7,).
-        gripper: Measured travel of each finger from closed, m.
-    """
-
-    stamp_ns: int
-    received_ns: int
-    q: Array
-    v: Array
-    gripper: float
-
-
 class Observer:
-    """Receives states and turns them into policy observations.
+    """Receives states and turns them into policy observations; `open` makes one.
 
     Args:
-        link: An open session.
+        joints: Of `topics.YUMI_JOINT_STATES`; in lock-step it keeps all, else the newest.
+        decoder: Finds the arm in them.
+        scene: What is known of the scene.
         layout: Of the policy.
-        joint_names: The arm's joints in chain order.
-        finger_name: The joint whose position is the gripper's opening.
-        scene_fields: Observation field of each joint in the scene states, by the joint's name.
         lock_step: Take every state in order, however old, instead of the newest.
         state_period_s: How often the robot server publishes, s.
-        on_repeat: Called when the robot server repeats a state because in lock-step time stands
-            still: the place to find out why.
     """
 
     def __init__(
         self,
+        joints: LatestReader,
+        decoder: ArmStateDecoder,
+        scene: SceneStates,
+        layout: PolicyLayout,
+        *,
+        lock_step: bool,
+        state_period_s: float,
+    ) -> None:
+        self._joints = joints
+        self._decoder = decoder
+        self._scene = scene
+        self._layout = layout
+        self._lock_step = lock_step
+        self._period_ns = round(state_period_s * 1e9)
+        self._kinematics = ArmKinematics("right")
+        self._arm: ArmState | None = None
+        self._queue: list[Sample] = []
+
+    @staticmethod
+    def open(
         link: Link,
         layout: PolicyLayout,
-        joint_names: tuple[str, ...],
-        finger_name: str,
         scene_fields: Mapping[str, str],
         *,
         lock_step: bool,
         state_period_s: float,
-        on_repeat: Callable[[], None] | None = None,
-    ) -> None:
-        self._on_repeat = on_repeat
-        self._layout = layout
-        self._joint_names = joint_names
-        self._finger_name = finger_name
-        self._lock_step = lock_step
-        self._period_ns = round(state_period_s * 1e9)
-        self._joints: LatestReader = link.subscribe(
-            topics.YUMI_JOINT_STATES, depth=None if lock_step else 1
+    ) -> Observer:
+        """Subscribe to the states of the right arm and of the scene on an open link."""
+        depth = None if lock_step else 1
+        joints = link.subscribe(topics.YUMI_JOINT_STATES, depth)
+        scene = link.subscribe(topics.YUMI_SCENE_STATES, depth)
+        return Observer(
+            joints,
+            ArmStateDecoder(yumi.joint_names("right"), yumi.finger_names("right")[0]),
+            SceneStates(scene, scene_fields, layout.observation_names, lock_step=lock_step),
+            layout,
+            lock_step=lock_step,
+            state_period_s=state_period_s,
         )
-        self._scene: LatestReader = link.subscribe(
-            topics.YUMI_SCENE_STATES, depth=None if lock_step else 1
-        )
-        self._kinematics = ArmKinematics("right")
-        self._arm: ArmState | None = None
-        self._queue: list[Sample] = []
-        self._scene_queue: list[JointStates] = []
-        self._scene_values: dict[str, float] = {}
-        self._scene_received_ns = 0
-        self._scene_stamp_ns = 0
-        self._fields = scene_fields
-        self._scene_fields = set(layout.observation_names) - _ARM_FIELDS
-        self._order: tuple[tuple[str, ...], list[int], int] | None = None
 
-    def next_state(self) -> ArmState:
+    def next_state(self) -> ArmState | None:
         """Wait for a joint state that is newer than the last one returned.
 
         Sleeps until shortly before it is due: no busy waiting.
+
+        Returns:
+            None if the robot server repeats the last one: in lock-step, time stands still, and
+            this is the moment to find out why.
 
         Raises:
             StaleStateError: None came in time.
@@ -125,20 +102,19 @@ class Observer:
                 time.sleep(early_s)
         while True:
             state = self._take()
-            if state is not None and (last is None or state.stamp_ns > last.stamp_ns):
+            if state is not None:
+                if last is not None and state.stamp_ns <= last.stamp_ns:
+                    return None
                 self._arm = state
-                self._take_scene(state.stamp_ns)
+                self._scene.take(state.stamp_ns)
                 return state
-            if state is not None and self._on_repeat is not None:
-                self._on_repeat()
             waited_s = (time.monotonic_ns() - since_ns) / 1e9
-            if state is None and waited_s > patience_s:
+            if waited_s > patience_s:
                 raise StaleStateError(
                     f"no new joint state for {1e3 * waited_s:.0f} ms; at most "
                     f"{1e3 * patience_s:.0f} ms are allowed"
                 )
-            if state is None:
-                time.sleep(20e-6 if self._lock_step else _POLL_S)
+            time.sleep(20e-6 if self._lock_step else _POLL_S)
 
     def fresh_state(self) -> ArmState:
         """Forget everything, and wait for a joint state with the scene state that belongs to it.
@@ -148,23 +124,21 @@ class Observer:
             TransportError: A state is malformed.
         """
         self.forget()
-        self._scene_values.clear()
-        state = self.next_state()
+        self._scene.values.clear()
+        state = self._first_state()
         # Forgetting may fall between a scene state and the joint state that follows it.
         for _ in range(_FIRST_STATES):
-            if not self._missing():
+            if not self._scene.missing():
                 break
-            self._arm = None  # in lock-step the same state is repeated
-            state = self.next_state()
+            state = self._first_state()
         self.check_scene()
         return state
 
     def forget(self) -> None:
         """Drop whatever has been received: what comes next is newer than this call."""
         self._joints.drain()
-        self._scene.drain()
         self._queue.clear()
-        self._scene_queue.clear()
+        self._scene.forget()
         self._arm = None
 
     def check_scene(self) -> None:
@@ -173,21 +147,14 @@ class Observer:
         Raises:
             StaleStateError: Fields that the policy needs are missing or too old.
         """
-        if self._missing():
-            raise StaleStateError(f"the scene states lack {self._missing()}")
-        age_s = (time.monotonic_ns() - self._scene_received_ns) / 1e9
-        if self._arm is not None:
-            # A publisher that hangs may repeat an old state for ever: its stamp tells.
-            age_s = max(age_s, (self._arm.stamp_ns - self._scene_stamp_ns) / 1e9)
-        if self._scene_fields and not self._lock_step and age_s > MAX_SCENE_AGE_S:
-            raise StaleStateError(
-                f"the scene state is {1e3 * age_s:.0f} ms old; at most "
-                f"{1e3 * MAX_SCENE_AGE_S:.0f} ms are allowed"
-            )
+        self._scene.check(None if self._arm is None else self._arm.stamp_ns)
 
-    def _missing(self) -> list[str]:
-        """Fields that the policy needs and that no scene state has told."""
-        return sorted(self._scene_fields - set(self._scene_values))
+    def _first_state(self) -> ArmState:
+        """The next joint state, be it the last one: in lock-step the same state is repeated."""
+        self._arm = None
+        state = self.next_state()
+        assert state is not None
+        return state
 
     def hand_position(self, state: ArmState) -> Array:
         """Measured hand in world by forward kinematics, m. Shape (3,)."""
@@ -213,7 +180,7 @@ class Observer:
             "hand_z": hand_position_w[2],
             "gripper": state.gripper,
             TIME_FIELD: step / self._layout.episode_steps,
-            **self._scene_values,
+            **self._scene.values,
         }
         return assemble_observation(self._layout, values)
 
@@ -225,40 +192,4 @@ class Observer:
         sample = self._queue.pop(0 if self._lock_step else -1)
         if not self._lock_step:
             self._queue.clear()
-        message = decode_joint_states(sample.payload)
-        names, order, finger = self._indices(message.names)
-        del names
-        if not np.isfinite(message.position).all():
-            raise TransportError("joint states hold positions that are not finite")
-        velocity = message.velocity if len(message.velocity) else np.zeros(len(message.position))
-        return ArmState(
-            message.stamp_ns,
-            sample.received_ns,
-            message.position[order],
-            velocity[order],
-            float(message.position[finger]),
-        )
-
-    def _indices(self, names: tuple[str, ...]) -> tuple[tuple[str, ...], list[int], int]:
-        """Where arm and finger are in a message with these names."""
-        if self._order is None or self._order[0] != names:
-            missing = [n for n in (*self._joint_names, self._finger_name) if n not in names]
-            if missing:
-                raise TransportError(f"joint states lack {missing}")
-            order = [names.index(name) for name in self._joint_names]
-            self._order = (names, order, names.index(self._finger_name))
-        return self._order
-
-    def _take_scene(self, stamp_ns: int) -> None:
-        """Take in the scene states up to a stamp; the server sends them before the joints'."""
-        for sample in self._scene.drain():
-            self._scene_queue.append(decode_joint_states(sample.payload))
-            self._scene_received_ns = sample.received_ns
-        while self._scene_queue and (
-            self._scene_queue[0].stamp_ns <= stamp_ns or not self._lock_step
-        ):
-            message = self._scene_queue.pop(0)
-            self._scene_stamp_ns = message.stamp_ns
-            for name, value in zip(message.names, message.position, strict=True):
-                if name in self._fields:
-                    self._scene_values[self._fields[name]] = float(value)
+        return self._decoder.decode(sample)

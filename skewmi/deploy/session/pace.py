@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,6 +11,40 @@ from skewmi.policy_io import PolicyLayout
 from skewmi.robot_models import limits as joint_limits
 from skewmi.robot_models.limits import JointLimits
 from skewmi.trajectory import CYCLE_NS
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How long a control step takes."""
+
+    step_cycles: int
+    """Planner cycles that it takes."""
+    speed: float
+    """Fraction of the training's speed that this is."""
+    note: str | None
+    """Why it is less than was asked for; None if it is not."""
+
+
+def choose_pace(layout: PolicyLayout, speed: float, hand_speed: float, limits: str) -> Pace:
+    """The pace nearest to the one that was asked for, and no faster.
+
+    Args:
+        layout: Its actions and control step say how fast the policy may ask the hand to move.
+        speed: Fraction of the training's speed that was asked for.
+        hand_speed: What the joint limits allow the hand, m/s.
+        limits: Name of the profile that those limits are from.
+    """
+    followed = followed_speed(layout, speed, hand_speed)
+    cycles = action_cycles(layout.control_dt, followed)
+    executed = layout.control_dt * 1e9 / (cycles * CYCLE_NS)
+    if executed >= speed:
+        return Pace(cycles, executed, None)
+    why = "control steps take whole cycles of 20 ms"
+    if followed < speed:
+        why = f"limits {limits} allow the hand {1e3 * hand_speed:.0f} mm/s"
+    longer = 1.0 / executed
+    note = f"{why}: every control step takes {longer:.1f} times as long as in training"
+    return Pace(cycles, executed, note)
 
 
 def planning_limits(profile: str, speed: float) -> JointLimits:

@@ -1,19 +1,28 @@
-"""What must agree between policy, session and robot server before the arm may move."""
+"""From a robot server to an armed one with a free way to where the episode starts."""
 
 from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
 
 import numpy as np
 
 from skewmi.deploy.motion.start_motion import StartMotion
-from skewmi.deploy.robot.description import RobotDescription, limit_values
+from skewmi.deploy.options import DeployOptions
+from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.safety.checks import ChunkChecks
-from skewmi.errors import ConfigurationError, LayoutMismatchError
+from skewmi.deploy.session.agreement import check_agreement
+from skewmi.deploy.session.arm_state import ArmState
+from skewmi.deploy.session.interrupt import StopRequestedError, check_interrupt
+from skewmi.deploy.session.observer import Observer
+from skewmi.deploy.session.robot_client import RobotClient
+from skewmi.deploy.session.status import SessionStatus
+from skewmi.errors import LayoutMismatchError
 from skewmi.policy_io import Array, PolicyLayout, Workspace
-from skewmi.robot_models import yumi
 from skewmi.robot_models.frames import rotation_from_quaternion
 from skewmi.robot_models.kinematics import ArmKinematics, require_converged
 from skewmi.robot_models.limits import JointLimits
-from skewmi.trajectory import CYCLE_NS, GRID_NS, JointPoint
+from skewmi.trajectory import JointPoint
 
 OTHER_POSTURE = 0.5
 """Joint distance from the task's posture beyond which the start is sought from there, rad."""
@@ -24,53 +33,102 @@ _WAY_SAMPLES = 10
 """The guard looks at so many samples at once: few enough to be near each other."""
 
 
-def check_agreement(
-    layout: PolicyLayout,
-    robot_model_hash: str | None,
-    limits: JointLimits,
-    server: RobotDescription,
-) -> None:
-    """Refuse to run a policy on a robot server that it was not made for.
+@dataclass(frozen=True)
+class AtHold:
+    """An armed robot server that holds the arm, ready to move.
+
+    Attributes:
+        state: The newest state.
+        q: Where the arm is held, rad. Shape (7,).
+        q_goal: Where the episode starts, rad. Shape (7,).
+    """
+
+    state: ArmState
+    q: Array
+    q_goal: Array
+
+
+class Preflight:
+    """Everything between two episodes, or before the first, that moves nothing.
 
     Args:
-        layout: Of the policy.
-        robot_model_hash: Of the model that the policy was trained with; None if it tells none.
-        limits: That the session plans with.
-        robot server: What the robot server says about itself.
+        layout: Of the policy; must have a workspace.
+        options: Spread of the starts, hash of the policy's robot model.
+        limits: That motion is planned with.
+        robot: To arm.
+        observer: Where states come from.
+        checks: That every chunk has to pass.
+        status: Keeps the time of the newest state.
+        stop: Set from outside to end the run.
+        description: What the robot server said of itself when the session connected to it.
+    """
+
+    def __init__(
+        self,
+        layout: PolicyLayout,
+        options: DeployOptions,
+        limits: JointLimits,
+        robot: RobotClient,
+        observer: Observer,
+        checks: ChunkChecks,
+        status: SessionStatus,
+        stop: threading.Event,
+        description: RobotDescription,
+    ) -> None:
+        self._layout = layout
+        self._workspace = require_workspace(layout)
+        self._options = options
+        self._limits = limits
+        self._robot = robot
+        self._observer = observer
+        self._checks = checks
+        self._status = status
+        self._stop = stop
+        self._known_stops = description.stops
+
+    def run(self, seed: int) -> AtHold:
+        """Arm the robot server, and check the way to the start of an episode.
+
+        Args:
+            seed: Of the start, and of a simulated scene.
+
+        Raises:
+            StopRequestedError: Somebody has asked to stop.
+            SkewmiError: The arm may not move; the message says why.
+        """
+        check_interrupt(self._stop)
+        # Armed first: a scene that somebody else works in must not be reset.
+        self._robot.arm()
+        description = self._robot.describe()
+        check_agreement(self._layout, self._options.robot_model_hash, self._limits, description)
+        if description.simulated:
+            self._robot.reset_scene(seed)
+            description = self._robot.describe()
+        if description.stops > self._known_stops:
+            # Between two episodes a stop changes no state: nothing else tells of it.
+            raise StopRequestedError("somebody has asked to stop since the last episode")
+        self._status.clock_ns = description.clock_ns
+        self._robot.open_gripper(self._workspace.gripper_opening, description.clock_ns)
+        q = np.array(description.commanded_position)
+        q_goal = draw_start(self._workspace, seed, self._options.start_spread, q)
+        check_way(q, q_goal, self._limits, self._checks)
+        # Checking takes a while: what was fresh before is not any more.
+        state = self._observer.fresh_state()
+        check_interrupt(self._stop)
+        return AtHold(state, q, q_goal)
+
+
+def require_workspace(layout: PolicyLayout) -> Workspace:
+    """The workspace of a policy that commands a hand.
 
     Raises:
-        LayoutMismatchError: Task, layout or robot model differ.
-        ConfigurationError: The session would plan beyond the robot server's limits, or their grids
-            or joints differ.
+        LayoutMismatchError: Its task has none.
     """
-    if layout.task != server.task:
-        raise LayoutMismatchError(
-            f"the policy is for task {layout.task!r}, the robot server has {server.task!r}; "
-            f"start one with `skewmi robot --task {layout.task}`"
-        )
     if layout.workspace is None:
-        raise LayoutMismatchError(f"task {layout.task!r} has no workspace: it needs no robot")
-    if layout.hash() not in server.layout_hashes:
         raise LayoutMismatchError(
-            f"the policy's layout {layout.hash()[:12]} is not one of the robot server's "
-            f"({', '.join(h[:12] for h in server.layout_hashes)}); it was exported with another "
-            "version of the task: train or export it again"
+            f"task {layout.task!r} has no workspace: there is no robot to deploy it on"
         )
-    ours = yumi.MODEL_HASH
-    for whose, model in (("policy", robot_model_hash), ("robot server", server.robot_model_hash)):
-        if model is not None and model != ours:
-            raise LayoutMismatchError(
-                f"the {whose} uses robot model {model[:12]}, this skewmi has {ours[:12]}; "
-                "export the policy again with this version, or run both sides with one version"
-            )
-    if server.joint_names != yumi.joint_names("right"):
-        raise ConfigurationError(f"the robot server has other joints: {server.joint_names}")
-    if server.grid_ns != GRID_NS or server.state_period_ns != CYCLE_NS:
-        raise ConfigurationError(
-            f"the robot server has a grid of {server.grid_ns} ns and states every "
-            f"{server.state_period_ns} ns; this session needs {GRID_NS} and {CYCLE_NS}"
-        )
-    _check_limits(limits, server)
+    return layout.workspace
 
 
 def draw_start(workspace: Workspace, seed: int, spread: float, q_near: Array) -> Array:
@@ -126,17 +184,3 @@ def check_way(q: Array, q_goal: Array, limits: JointLimits, checks: ChunkChecks)
     for first in range(0, len(motion), _WAY_SAMPLES):
         start = JointPoint(motion.q[first], rest, rest)
         guard(motion.part(slice(first, first + _WAY_SAMPLES + 1)), start, start.q[None])
-
-
-def _check_limits(limits: JointLimits, server: RobotDescription) -> None:
-    for name, values in limit_values(limits).items():
-        allowed = server.limits.get(name, ())
-        if len(allowed) != len(values):
-            raise ConfigurationError(f"the robot server does not tell its limit on {name}")
-        for joint, (ours, theirs) in enumerate(zip(values, allowed, strict=True)):
-            if ours < theirs if name == "position_lower" else ours > theirs:
-                raise ConfigurationError(
-                    f"limit profile {limits.name!r} allows {name} {ours:.4g} in joint index "
-                    f"{joint}, the robot server's {server.limit_profile!r} only {theirs:.4g}; use "
-                    f"--limits {server.limit_profile} or restart the robot server"
-                )

@@ -8,6 +8,7 @@ import numpy as np
 
 from skewmi.deploy.robot.description import SCENE_REQUEST, RobotDescription
 from skewmi.deploy.robot.states import ServerState
+from skewmi.deploy.session.interrupt import StopRequestedError
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.messages import (
     JointStates,
@@ -16,8 +17,8 @@ from skewmi.deploy.wire.messages import (
     decode_status,
     encode_joint_states,
 )
-from skewmi.deploy.wire.transport import Link
-from skewmi.errors import CommandRefusedError, SkewmiError, TransportError
+from skewmi.deploy.wire.transport import LatestReader, Link, Publisher
+from skewmi.errors import CommandRefusedError, TransportError
 from skewmi.policy_io import Array
 from skewmi.robot_models import yumi
 
@@ -28,31 +29,49 @@ ROBOT_STATUS_NAME = "skewmi_robot"
 _ENDING = (ServerState.STOPPING.value, ServerState.DISARMED.value)
 
 
-class StopRequestedError(SkewmiError):
-    """Somebody asked the arm to stop; no further episode is started."""
-
-
 class LateChunkError(CommandRefusedError):
     """The robot server refused a chunk for coming too late or after a lost one; the arm brakes."""
 
 
 class RobotClient:
-    """Commands a robot server, and watches what it says.
+    """Commands a robot server, and watches what it says; `open` makes one.
 
     Args:
-        link: An open session to it.
+        link: An open link to it.
+        commands: Of `topics.YUMI_TRAJECTORY`.
+        gripper: Of `topics.YUMI_GRIPPER`.
+        status: Of `topics.YUMI_STATUS`; keeps all.
         dry_run: Only ask, never command.
     """
 
-    def __init__(self, link: Link, *, dry_run: bool) -> None:
+    def __init__(
+        self,
+        link: Link,
+        commands: Publisher,
+        gripper: Publisher,
+        status: LatestReader,
+        *,
+        dry_run: bool,
+    ) -> None:
         self._link = link
+        self._commands = commands
+        self._gripper = gripper
+        self._status = status
         self._dry_run = dry_run
-        self._commands = link.publisher(topics.YUMI_TRAJECTORY)
-        self._gripper = link.publisher(topics.YUMI_GRIPPER)
-        self._status = link.subscribe(topics.YUMI_STATUS, depth=None)
         self._refused = 0
         self._armed = False
         self._heard = False
+
+    @staticmethod
+    def open(link: Link, *, dry_run: bool) -> RobotClient:
+        """Declare on an open link what is said and listened to."""
+        return RobotClient(
+            link,
+            link.publisher(topics.YUMI_TRAJECTORY),
+            link.publisher(topics.YUMI_GRIPPER),
+            link.subscribe(topics.YUMI_STATUS, depth=None),
+            dry_run=dry_run,
+        )
 
     @property
     def _gids(self) -> bytes:

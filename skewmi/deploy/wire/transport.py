@@ -209,18 +209,7 @@ class Link:
                 # An absent service is reported at once: ask again, but not in a tight loop.
                 time.sleep(min(0.05, max(0.0, deadline - time.monotonic())))
                 continue
-            try:
-                description = json.loads(reply.message)
-            except json.JSONDecodeError as error:
-                raise TransportError(
-                    f"the robot server at {self._config.where} describes itself unreadably: {error}"
-                ) from error
-            if not isinstance(description, dict):
-                raise TransportError(
-                    f"the robot server at {self._config.where} describes itself with "
-                    f"{reply.message[:80]!r} instead of a JSON object"
-                )
-            return description
+            return _read_description(reply.message, self._config.where)
         raise TransportError(
             f"no robot server answers at {self._config.where} within {timeout_s:g} s; "
             "start one with `skewmi robot`"
@@ -253,6 +242,21 @@ class Link:
         token = ros2_keys.endpoint_token(self._node, self._entities, kind, topic, qos)
         self._tokens.append(self._session.liveliness().declare_token(token))
         return ros2_keys.gid(token)
+
+
+def _read_description(text: str, where: str) -> dict[str, Any]:
+    try:
+        description = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise TransportError(
+            f"the robot server at {where} describes itself unreadably: {error}"
+        ) from error
+    if not isinstance(description, dict):
+        raise TransportError(
+            f"the robot server at {where} describes itself with "
+            f"{text[:80]!r} instead of a JSON object"
+        )
+    return description
 
 
 def _explain(error: Exception, config: TransportConfig, zenoh_config: Any) -> TransportError:

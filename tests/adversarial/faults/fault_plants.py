@@ -13,8 +13,8 @@ from fault_chunks import breach
 
 from skewmi.deploy.motion.planner import Planner
 from skewmi.deploy.motion.start_motion import StartMotion
-from skewmi.deploy.session import episode as episode_module
-from skewmi.deploy.session import session as session_module
+from skewmi.deploy.session import approach as approach_module
+from skewmi.deploy.session import connect as connect_module
 from skewmi.deploy.session.pace import planning_limits
 from skewmi.robot_models.limits import JointLimits
 from skewmi.trajectory import CYCLE_TICKS, JointTrajectory
@@ -80,9 +80,9 @@ class Planted:
             return replace(limits, torque=planted.torque_share * limits.torque)
 
         return [
-            (session_module, "Planner", FaultyPlanner),
-            (session_module, "planning_limits", weak_limits),
-            (episode_module, "StartMotion", FaultyStart),
+            (connect_module, "Planner", FaultyPlanner),
+            (connect_module, "planning_limits", weak_limits),
+            (approach_module, "StartMotion", FaultyStart),
         ]
 
 

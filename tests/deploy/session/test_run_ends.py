@@ -34,7 +34,7 @@ from skewmi.deploy.robot.process import free_port, simulated_robot_process
 from skewmi.deploy.robot.run import SimulatedRobotOptions, run_simulated_robot
 from skewmi.deploy.robot.server import RobotServer
 from skewmi.deploy.run import run_deploy
-from skewmi.deploy.session import session as session_module
+from skewmi.deploy.session import preflight as preflight_module
 from skewmi.deploy.session.pace import action_cycles
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.transport import Link, TransportConfig
@@ -258,7 +258,7 @@ def test_an_interrupt_before_an_episode_begins_moves_nothing_and_is_told(
     lock_step_robot: str, record: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stop = threading.Event()
-    ways, check_way = [], session_module.check_way
+    ways, check_way = [], preflight_module.check_way
 
     def check_and_interrupt(*arguments) -> None:
         ways.append(1)
@@ -266,7 +266,7 @@ def test_an_interrupt_before_an_episode_begins_moves_nothing_and_is_told(
         if len(ways) == 2:
             stop.set()
 
-    monkeypatch.setattr(session_module, "check_way", check_and_interrupt)
+    monkeypatch.setattr(preflight_module, "check_way", check_and_interrupt)
     path = tmp_path / "run.mcap" if record else None
     policy = FewSteps(7, give_up)
     options = DeployOptions(episodes=3, connect=lock_step_robot, lock_step=True, record=path)

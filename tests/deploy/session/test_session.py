@@ -26,8 +26,9 @@ from skewmi.deploy.robot.description import RobotDescription, limit_values
 from skewmi.deploy.robot.process import free_port, simulated_robot_process
 from skewmi.deploy.safety.checks import ChunkChecks
 from skewmi.deploy.safety.guard import Guard
+from skewmi.deploy.session.agreement import check_agreement
 from skewmi.deploy.session.pace import followed_speed, planning_limits
-from skewmi.deploy.session.preflight import check_agreement, check_way, draw_start
+from skewmi.deploy.session.preflight import check_way, draw_start
 from skewmi.deploy.session.stream import ChunkStream
 from skewmi.deploy.session.timing import CycleTimes, percentiles_ms
 from skewmi.deploy.wire import topics

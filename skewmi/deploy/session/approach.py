@@ -1,0 +1,132 @@
+"""The motion in joint space to where an episode starts."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skewmi.deploy.motion.start_motion import StartMotion
+from skewmi.deploy.session.arm_state import ArmState
+from skewmi.deploy.session.control_loop import ControlLoop
+from skewmi.deploy.session.robot_client import LateChunkError
+from skewmi.deploy.session.stream import ChunkStream
+from skewmi.errors import CommandRefusedError
+from skewmi.policy_io import Array
+from skewmi.robot_models.limits import JointLimits
+from skewmi.trajectory import CYCLE_TICKS, JointTrajectory
+
+START_ATTEMPTS = 3
+"""Start motions after one that was late and therefore stopped half-way."""
+
+REACHED = 0.02
+"""Largest joint error at which the start pose counts as reached, rad."""
+
+_NEVER_NS = 1 << 62
+
+
+class Approach:
+    """Moves the arm to where an episode starts.
+
+    Args:
+        loop: Carries out the motion.
+        stream: Where its chunks go to.
+        limits: To keep.
+    """
+
+    def __init__(self, loop: ControlLoop, stream: ChunkStream, limits: JointLimits) -> None:
+        self._loop = loop
+        self._stream = stream
+        self._limits = limits
+
+    def run(self, q_goal: Array, q: Array, state: ArmState) -> ArmState:
+        """Move in joint space and wait until the arm is there.
+
+        Args:
+            q_goal: Where to go, rad. Shape (7,).
+            q: Where the robot server holds the arm, rad. Shape (7,).
+            state: The newest state.
+
+        Returns:
+            The newest state, with the arm at rest at `q_goal`.
+
+        Raises:
+            LimitViolationError: The way breaks a limit.
+            CommandRefusedError: The arm did not arrive.
+            SkewmiError: Whatever else ends a motion.
+        """
+        way = _Way(q_goal, self._limits, self._stream)
+        for _ in range(START_ATTEMPTS):
+            try:
+                state = self._loop.run(way, q, state)
+                if not way.late:
+                    _check_arrived(state.q, q_goal)
+                    return state
+                q, state = self._loop.coast(state)
+            except LateChunkError:
+                q, state = self._loop.recover()
+        raise CommandRefusedError(f"{START_ATTEMPTS} start motions came too late; is the CPU free?")
+
+
+class _Way:
+    """A motion for the control loop; each `begin` is a new attempt from where the arm then rests.
+
+    Args:
+        q_goal: Where to go, rad. Shape (7,).
+        limits: To keep.
+        stream: Knows when the arm rests.
+    """
+
+    def __init__(self, q_goal: Array, limits: JointLimits, stream: ChunkStream) -> None:
+        self._q_goal = q_goal
+        self._limits = limits
+        self._stream = stream
+        self.late = False
+        """Whether the attempt was given up because a chunk would have been late."""
+
+    def begin(self, q: Array, state: ArmState) -> None:
+        """See `Motion`.
+
+        Raises:
+            LimitViolationError: The way breaks a limit.
+        """
+        del state
+        self._motion = StartMotion(q, self._q_goal, self._limits)
+        self._cycle, self._rest_ns, self.late = 0, _NEVER_NS, False
+
+    def is_over(self, state: ArmState) -> bool:
+        """Whether the arm has followed the motion to its end."""
+        if self._cycle >= self._motion.cycles:
+            self._rest_ns = min(self._rest_ns, self._stream.rest_ns)
+        return state.stamp_ns >= self._rest_ns
+
+    def next_chunk(self, state: ArmState, splice: int) -> JointTrajectory | None:
+        """The next part of the motion."""
+        del state
+        if splice != CYCLE_TICKS:
+            # Braking has begun: this motion cannot be taken up again, another one can.
+            self.late = True
+            return None
+        chunk = self._motion.chunk(self._cycle)
+        self._cycle += 1
+        return chunk
+
+    def after_sending(self, state: ArmState) -> None:
+        """Nothing waits."""
+
+
+def _check_arrived(q: Array, q_goal: Array) -> None:
+    """Refuse to go on from somewhere else than the start of the episode.
+
+    Args:
+        q: Measured, rad. Shape (7,).
+        q_goal: Where the arm was to go, rad. Shape (7,).
+
+    Raises:
+        CommandRefusedError: A joint is more than `REACHED` away.
+    """
+    error = float(np.abs(q - q_goal).max())
+    if error > REACHED:
+        raise CommandRefusedError(
+            f"the arm stands {error:.3f} rad from the start configuration; "
+            f"at most {REACHED} rad are allowed: is something in its way, or were "
+            "commands lost?"
+        )

@@ -1,0 +1,102 @@
+"""Where a session's parts are made and put together, on an open link to a robot server."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+from skewmi.deploy.motion.planner import Planner
+from skewmi.deploy.options import DeployOptions
+from skewmi.deploy.report import DeployReport
+from skewmi.deploy.safety.checks import ChunkChecks
+from skewmi.deploy.session.agreement import check_agreement, check_pace
+from skewmi.deploy.session.approach import Approach
+from skewmi.deploy.session.control_loop import ControlLoop
+from skewmi.deploy.session.episode import EpisodeRunner
+from skewmi.deploy.session.observer import Observer
+from skewmi.deploy.session.pace import Pace, choose_pace, planning_limits
+from skewmi.deploy.session.policy_motion import PolicyMotion
+from skewmi.deploy.session.policy_topics import PolicyTopics
+from skewmi.deploy.session.preflight import Preflight, require_workspace
+from skewmi.deploy.session.robot_client import RobotClient
+from skewmi.deploy.session.session import Session
+from skewmi.deploy.session.states import SessionEvent
+from skewmi.deploy.session.status import SessionStatus
+from skewmi.deploy.session.stream import ChunkStream
+from skewmi.deploy.session.timing import CycleTimes
+from skewmi.deploy.session.warm_up import warm_up
+from skewmi.deploy.wire import topics
+from skewmi.deploy.wire.transport import Link
+from skewmi.policy_io import Policy
+
+
+def connect(
+    policy: Policy,
+    options: DeployOptions,
+    link: Link,
+    report: DeployReport,
+    stop: threading.Event,
+    tell: Callable[[str], None],
+) -> Session:
+    """Make a session that is ready to run; the arm does not move yet.
+
+    Args:
+        policy: What decides.
+        options: How.
+        link: Open, to the robot server.
+        report: Told the speed, and given to the session.
+        stop: Set from outside to end the run with a smooth stop.
+        tell: Told in words what happens.
+
+    Raises:
+        LayoutMismatchError: The robot server is not what the policy was made for.
+        ConfigurationError: The robot server's limits or pace differ.
+        TransportError: No robot server answers.
+    """
+    layout, workspace = policy.layout, require_workspace(policy.layout)
+    limits = planning_limits(options.limits, options.speed)
+    status = SessionStatus(link.publisher(topics.YUMI_STATUS))
+    robot = RobotClient.open(link, dry_run=options.dry_run)
+    described = robot.describe(with_scene=True)
+    check_pace(described, lock_step=options.lock_step)
+    check_agreement(layout, options.robot_model_hash, limits, described)
+    status.clock_ns = described.clock_ns
+
+    period_s = described.state_period_ns / 1e9
+    observer = Observer.open(
+        link,
+        layout,
+        described.scene_fields,
+        lock_step=options.lock_step,
+        state_period_s=period_s,
+    )
+    times, checks = CycleTimes(), ChunkChecks(limits, workspace)
+    stream = ChunkStream(
+        robot.put_chunk,
+        described.joint_names,
+        checks.stages,
+        times,
+        lock_step=options.lock_step,
+        lead_ns=round(options.lead_ms * 1e6),
+    )
+    loop = ControlLoop(robot, observer, stream, times, status, stop, lock_step=options.lock_step)
+    planner = Planner(workspace, limits)
+    pace = choose_pace(layout, options.speed, planner.hand_bounds.speed, limits.name)
+    _tell_pace(pace, report, tell)
+    shown = PolicyTopics.open(link, layout)
+    motion = PolicyMotion(policy, planner, observer, stream, robot, shown, times, pace.step_cycles)
+    preflight = Preflight(layout, options, limits, robot, observer, checks, status, stop, described)
+    approach = Approach(loop, stream, limits)
+    episodes = EpisodeRunner(
+        layout, options, preflight, approach, motion, loop, checks, robot, status
+    )
+    warm_up(policy, workspace, Planner(workspace, limits), checks, stream)
+    status.fire(SessionEvent.CONNECTED, f"{described.backend} robot, {described.task}")
+    return Session(options, episodes, status, stream, times, report, stop, tell)
+
+
+def _tell_pace(pace: Pace, report: DeployReport, tell: Callable[[str], None]) -> None:
+    report.speed = pace.speed
+    if pace.note is not None:
+        report.notes.append(pace.note)
+        tell(pace.note)
