@@ -60,7 +60,7 @@ structure: $(VENV)/installed  ## counts of how the project is built
 
 policy: $(VENV)/installed  ## train the bundled policy again (some 30 minutes) into runs/
 	$(BIN)/skewmi train --task open_press_close --run-dir runs/seed-0 --stop-on-convergence --resume
-	$(BIN)/skewmi train --start-from runs/seed-0 --run-dir runs/robust --twin randomised --steps 660000
+	$(BIN)/skewmi train --start-from runs/seed-0 --run-dir runs/robust --variation randomised --steps 660000
 	$(BIN)/skewmi export-onnx runs/robust --out runs/open_press_close.onnx
 
 clean:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Series:
+class RecordedJoints:
     """Samples of named joints over time; stamps in ns of the robot server's clock."""
 
     stamps_ns: NDArray[np.int64]
@@ -52,7 +52,7 @@ def recorded_layout(recording: Recording) -> PolicyLayout:
     return PolicyLayout.from_json(recording.metadata[LAYOUT])
 
 
-def joint_series(recording: Recording, topic: topics.Topic) -> Series:
+def joint_series(recording: Recording, topic: topics.Topic) -> RecordedJoints:
     """All samples of a JointState topic.
 
     Raises:
@@ -64,7 +64,7 @@ def joint_series(recording: Recording, topic: topics.Topic) -> Series:
         raise ConfigurationError(f"{recording.path} holds nothing on {topic.name}")
     names = samples[0].names
     same = [sample for sample in samples if sample.names == names]
-    return Series(
+    return RecordedJoints(
         np.array([sample.stamp_ns for sample in same], dtype=np.int64),
         names,
         np.array([sample.position for sample in same]),
@@ -100,7 +100,7 @@ def split_episodes(
 
 def draw(
     arm: ArmTask,
-    series: list[Series],
+    series: list[RecordedJoints],
     times: NDArray[np.int64],
     *,
     width: int,
