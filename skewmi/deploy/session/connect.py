@@ -62,14 +62,7 @@ def connect(
     check_agreement(layout, options.robot_model_hash, limits, described)
     status.clock_ns = described.clock_ns
 
-    period_s = described.state_period_ns / 1e9
-    observer = Observer.open(
-        link,
-        layout,
-        described.scene_fields,
-        lock_step=options.lock_step,
-        state_period_s=period_s,
-    )
+    observer = Observer.open(link, layout, described)
     times, checks = CycleTimes(), ChunkChecks(limits, workspace)
     stream = ChunkStream(
         robot.put_chunk,

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 
+from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.session.arm_state import ArmState, ArmStateDecoder
 from skewmi.deploy.session.scene_states import SceneStates, StaleStateError
 from skewmi.deploy.wire import topics
@@ -58,25 +58,25 @@ class Observer:
         self._queue: list[Sample] = []
 
     @staticmethod
-    def open(
-        link: Link,
-        layout: PolicyLayout,
-        scene_fields: Mapping[str, str],
-        *,
-        lock_step: bool,
-        state_period_s: float,
-    ) -> Observer:
-        """Subscribe to the states of the right arm and of the scene on an open link."""
+    def open(link: Link, layout: PolicyLayout, server: RobotDescription) -> Observer:
+        """Subscribe to the states of the right arm and of the scene on an open link.
+
+        Args:
+            link: To the robot server.
+            layout: Of the policy.
+            server: What the robot server says about itself and its scene.
+        """
+        lock_step = server.lock_step
         depth = None if lock_step else 1
         joints = link.subscribe(topics.YUMI_JOINT_STATES, depth)
         scene = link.subscribe(topics.YUMI_SCENE_STATES, depth)
         return Observer(
             joints,
             ArmStateDecoder(yumi.joint_names("right"), yumi.finger_names("right")[0]),
-            SceneStates(scene, scene_fields, layout.observation_names, lock_step=lock_step),
+            SceneStates(scene, server.scene_fields, layout.observation_names, lock_step=lock_step),
             layout,
             lock_step=lock_step,
-            state_period_s=state_period_s,
+            state_period_s=server.state_period_ns / 1e9,
         )
 
     def next_state(self) -> ArmState | None:
