@@ -135,7 +135,7 @@ def summary(document: dict[str, Any]) -> Table:
     )
     uses = {"position": "|q|", "velocity": "|v|", "acceleration": "|a|", "jerk": "|jerk|"}
     shares = [f"{symbol} {deploy['limit_fractions'][k]:.0%}" for k, symbol in uses.items()]
-    table.add_row("largest share of limits", f"{', '.join(shares)} ({deploy['limit_profile']})")
+    table.add_row("largest use of limits", f"{', '.join(shares)} ({deploy['limit_profile']})")
     cycle = deploy["cycle_ms"]
     table.add_row(
         "planner cycle of 20 ms",

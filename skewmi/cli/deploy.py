@@ -58,7 +58,7 @@ class DeployCommand:
     limits: str = "lab"
     """Joint limit profile (lab, careful); none is verified on hardware."""
     speed: float = 1.0
-    """Share of the training's speed, 0.1..1."""
+    """Fraction of the training's speed, 0.1..1."""
     lead_ms: float = 24.0
     """Time from a robot state to the motion that answers it, ms, a multiple of 4: raise it if
     cycles are missed on a busy computer, at the price of slower reactions."""
@@ -156,12 +156,12 @@ def print_report(report: DeployReport, console: Console) -> None:
     }
     shown = ", ".join(f"{name} {value:.1%}" for name, value in fractions.items())
     profile = report.limit_profile
-    if report.velocity_share < 1.0:
-        profile += f", velocity at most {report.velocity_share:.0%} of full"
-    console.print(f"largest share of limits ({profile}): {shown}")
+    if report.velocity_fraction < 1.0:
+        profile += f", velocity at most {report.velocity_fraction:.0%} of full"
+    console.print(f"largest use of limits ({profile}): {shown}")
     contact = report.contact()
     if contact:
-        shown = "; ".join(_contact_words(name, figures) for name, figures in contact.items())
+        shown = "; ".join(_contact_words(name, metrics) for name, metrics in contact.items())
         console.print(f"largest contact in the simulation: {shown}", markup=False)
     cycle = ", ".join(f"{name} {value:.2f}" for name, value in report.cycle_ms.items())
     pace = "lock-step" if report.lock_step else f"real time ({', '.join(report.granted)})"
@@ -176,10 +176,10 @@ def print_report(report: DeployReport, console: Console) -> None:
         console.print(f"wrote {file}", markup=False)
 
 
-def _contact_words(name: str, figures: Mapping[str, float]) -> str:
+def _contact_words(name: str, metrics: Mapping[str, float]) -> str:
     label, _, unit = QUANTITIES[name].label.removesuffix("]").partition(" [")
-    of_limit = f" of {figures['limit']:.0f}" if "limit" in figures else ""
-    return f"{label} {figures['max']:.1f}{of_limit} {unit}"
+    of_limit = f" of {metrics['limit']:.0f}" if "limit" in metrics else ""
+    return f"{label} {metrics['max']:.1f}{of_limit} {unit}"
 
 
 @contextmanager

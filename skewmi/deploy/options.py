@@ -28,7 +28,7 @@ class DeployOptions:
     limits: str = "lab"
     """Joint limit profile to plan with."""
     speed: float = 1.0
-    """Share of the training's speed, 0.1..1; every control step takes 1 / speed times as long."""
+    """Fraction of the training's speed, 0.1..1; control steps take 1 / speed times as long."""
     lead_ms: float = 24.0
     """Time from a robot state to the start of the motion that answers it, ms, a multiple of 4:
     what planning, link and jitter may take together. More tolerates a busier computer, less

@@ -34,7 +34,7 @@ class OnnxPolicy:
         """Use `load`."""
         self.layout = layout
         self.metadata = dict(metadata)
-        """The file's metadata, decoded: task, method, seed, training figures, limits, ..."""
+        """The file's metadata, decoded: task, method, seed, training metrics, limits, ..."""
         self.name = name
         self._session = session
         self._run = session.run

@@ -41,14 +41,14 @@ class DeployReport:
     robot: str
     limit_profile: str
     speed: float
-    """Share of the training's speed at which the policy acted: control steps take whole planner
+    """Fraction of the training's speed at which the policy acted: control steps take whole planner
     cycles."""
     lock_step: bool
     dry_run: bool = False
     planned_episodes: int = 0
     episodes: list[EpisodeReport] = field(default_factory=list)
-    velocity_share: float = 1.0
-    """Share of full velocity that motion was planned with; `usage` is of the limits so reduced."""
+    velocity_fraction: float = 1.0
+    """Of full velocity, that motion was planned with; `usage` is of the limits so reduced."""
     usage: LimitUsage = field(default_factory=LimitUsage)
     """Largest use of each limit over all chunks that were sent, braking tails included."""
     cycles: int = 0
@@ -80,16 +80,16 @@ class DeployReport:
     def contact(self) -> dict[str, dict[str, float]]:
         """Per quantity that the robot told: "max" over the episodes, and if it has a limit, "limit"
         and "share_of_episodes_within"."""
-        figures: dict[str, dict[str, float]] = {}
+        metrics: dict[str, dict[str, float]] = {}
         for name, quantity in QUANTITIES.items():
             values = [e.contact[name] for e in self.episodes if name in e.contact]
             if not values:
                 continue
-            figures[name] = {"max": max(values)}
+            metrics[name] = {"max": max(values)}
             if quantity.limit is not None:
                 within = sum(value <= quantity.limit for value in values) / len(values)
-                figures[name] |= {"limit": quantity.limit, "share_of_episodes_within": within}
-        return figures
+                metrics[name] |= {"limit": quantity.limit, "share_of_episodes_within": within}
+        return metrics
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-serialisable, for `--json`; limits as fractions, times in ms."""

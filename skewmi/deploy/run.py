@@ -63,7 +63,7 @@ def run_deploy(
         speed=options.speed,
         lock_step=options.lock_step,
         dry_run=options.dry_run,
-        velocity_share=options.speed,
+        velocity_fraction=options.speed,
         planned_episodes=options.episodes,
     )
     server: AbstractContextManager[str | None]

@@ -58,8 +58,8 @@ def _log_shapes(recording: Any, name: str, *, ghost: bool) -> Any:
     """Shapes and frames of the robot; the URDF's tree."""
     text = build_urdf(arms=("right",)) if ghost else build_urdf()
     if ghost:
-        colour = " ".join(f"{c / 255:.3f}" for c in COMMANDED[:3])
-        text = re.sub(r'rgba="[^"]*"', f'rgba="{colour} 0.35"', text)
+        color = " ".join(f"{c / 255:.3f}" for c in COMMANDED[:3])
+        text = re.sub(r'rgba="[^"]*"', f'rgba="{color} 0.35"', text)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "yumi.urdf"
         file.write_text(text)
@@ -130,17 +130,17 @@ class PathView:
         self._draw("commanded", run.commanded, COMMANDED)
         self._draw("measured", run.measured, MEASURED)
 
-    def _draw(self, name: str, motion: Motion, colour: tuple[int, ...]) -> None:
+    def _draw(self, name: str, motion: Motion, color: tuple[int, ...]) -> None:
         if not len(motion.time_s):
             return
         hand = motion.hand_w
         path = f"/world/hand/{name}"
-        self._canvas.style(path, rr.Points3D.from_fields(colors=[colour], radii=[0.005]))
+        self._canvas.style(path, rr.Points3D.from_fields(colors=[color], radii=[0.005]))
         self._canvas.columns(path, motion.time_s, rr.Points3D.columns(positions=hand))
         path = f"/world/path/{name}"
         if not self._trail:
             strip = hand[:: max(1, len(hand) // 4000)]
-            self._canvas.style(path, rr.LineStrips3D([strip], colors=[colour], radii=[0.0008]))
+            self._canvas.style(path, rr.LineStrips3D([strip], colors=[color], radii=[0.0008]))
             return
         strip = np.concatenate([self._ends.get(name, hand[:1]), hand])
         self._ends[name] = hand[-1:]
@@ -150,7 +150,7 @@ class PathView:
         if strips:
             self._canvas.recording.set_time(TIMELINE, duration=float(motion.time_s[-1]))
             self._canvas.recording.log(
-                path, rr.LineStrips3D(strips, colors=[colour], radii=[0.0008])
+                path, rr.LineStrips3D(strips, colors=[color], radii=[0.0008])
             )
 
 

@@ -1,4 +1,4 @@
-"""What all parts of a view share: the time axis, the colours, and how curves are drawn."""
+"""What all parts of a view share: the time axis, the colors, and how curves are drawn."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ COMMANDED = (255, 140, 30, 255)
 MEASURED = (60, 160, 255, 255)
 BOX = (90, 200, 120, 160)
 LIMIT = (150, 150, 150, 255)
-JOINT_COLOURS = (
+JOINT_COLORS = (
     (230, 75, 60, 255),
     (245, 165, 35, 255),
     (200, 200, 60, 255),
@@ -36,7 +36,7 @@ def at(time_s: Array) -> list[Any]:
 class Canvas:
     """A Rerun recording, and what has been drawn on it for good.
 
-    Looks (names, colours, widths) are logged once, with the first data of their entity; the data
+    Looks (names, colors, widths) are logged once, with the first data of their entity; the data
     goes out in whole columns, one call per entity and stretch. Logging sample by sample would cost
     a millisecond each.
 
@@ -65,7 +65,7 @@ class Canvas:
         time_s: Array,
         values: Array,
         names: tuple[str, ...],
-        colours: tuple[tuple[int, ...], ...],
+        colors: tuple[tuple[int, ...], ...],
         *,
         aggregated: bool = True,
     ) -> None:
@@ -76,7 +76,7 @@ class Canvas:
         policy = rr.components.AggregationPolicy
         look = rr.SeriesLines(
             names=names,
-            colors=colours,
+            colors=colors,
             widths=[1.5] * len(names),
             aggregation_policy=policy.MinMax if aggregated else policy.Off,
         )
@@ -87,7 +87,7 @@ class Canvas:
         """Two horizontal lines for as long as there are times."""
         if not len(time_s):
             return
-        names, colours = ["limit", "limit"], [LIMIT] * 2
-        self.style(path, rr.SeriesLines(names=names, colors=colours, widths=[1.0] * 2))
+        names, colors = ["limit", "limit"], [LIMIT] * 2
+        self.style(path, rr.SeriesLines(names=names, colors=colors, widths=[1.0] * 2))
         ends = np.array([time_s[0], time_s[-1]])
         self.columns(path, ends, rr.Scalars.columns(scalars=np.array([bounds, bounds])))

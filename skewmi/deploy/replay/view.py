@@ -14,11 +14,11 @@ import rerun as rr
 from skewmi.deploy.replay.blueprint import blueprint
 from skewmi.deploy.replay.data import Run, Subject
 from skewmi.deploy.replay.scene import PathView, RobotView, SceneView
-from skewmi.deploy.replay.style import BOX, JOINT_COLOURS, Array, Canvas
+from skewmi.deploy.replay.style import BOX, JOINT_COLORS, Array, Canvas
 
 _JOINT_LABELS = tuple(f"joint {number}" for number in (1, 2, 7, 3, 4, 5, 6))
 _AXES = ("x", "y", "z")
-_AXIS_COLOURS = (JOINT_COLOURS[0], JOINT_COLOURS[3], JOINT_COLOURS[5])
+_AXIS_COLORS = (JOINT_COLORS[0], JOINT_COLORS[3], JOINT_COLORS[5])
 _PULSE_S = 0.3
 _LEVELS = {0: "INFO", 1: "WARN", 2: "ERROR"}
 
@@ -87,7 +87,7 @@ class RunView:
         for name, values in fractions.items():
             path = f"/joints/{name}"
             self._canvas.curves(
-                f"{path}/of_limit", motion.time_s, values, _JOINT_LABELS, JOINT_COLOURS
+                f"{path}/of_limit", motion.time_s, values, _JOINT_LABELS, JOINT_COLORS
             )
             self._canvas.bounds(f"{path}/limit", motion.time_s, (-1.0, 1.0))
 
@@ -99,24 +99,22 @@ class RunView:
                 low, high = np.array(workspace.low), np.array(workspace.high)
                 inside = (motion.hand_w - (low + high) / 2) / ((high - low) / 2)
                 path = f"/hand/{name}"
-                self._canvas.curves(f"{path}/in_box", motion.time_s, inside, _AXES, _AXIS_COLOURS)
+                self._canvas.curves(f"{path}/in_box", motion.time_s, inside, _AXES, _AXIS_COLORS)
                 self._canvas.bounds(f"{path}/box", motion.time_s, (-1.0, 1.0))
         error = run.error
-        self._canvas.curves(
-            "/hand/error/mm", error.time_s, 1e3 * error.values, _AXES, _AXIS_COLOURS
-        )
+        self._canvas.curves("/hand/error/mm", error.time_s, 1e3 * error.values, _AXES, _AXIS_COLORS)
 
     def _draw_policy(self, run: Run) -> None:
         observation, action, layout = run.observation, run.action, self._subject.layout
         if observation.names:
             names, time_s, in_range = observation.names, observation.time_s, observation.values
-            colours = tuple(JOINT_COLOURS[i % 7] for i in range(len(names)))
-            self._canvas.curves("/policy/observation", time_s, in_range, names, colours)
+            colors = tuple(JOINT_COLORS[i % 7] for i in range(len(names)))
+            self._canvas.curves("/policy/observation", time_s, in_range, names, colors)
             if layout is not None and layout.observation_names == names:
                 low, high = layout.observation_low, layout.observation_high
                 in_range = (in_range - low) / (high - low)
             path = "/policy/observation_in_range"
-            self._canvas.curves(f"{path}/fields", time_s, in_range, names, colours)
+            self._canvas.curves(f"{path}/fields", time_s, in_range, names, colors)
             # A pulse at each success; a single instant would vanish between two pixels.
             edges = np.array(
                 [(t - 1e-3, t, t + _PULSE_S, t + _PULSE_S + 1e-3) for t in run.success_s]
@@ -131,9 +129,9 @@ class RunView:
                 aggregated=False,
             )
         if action.names:
-            colours = tuple(JOINT_COLOURS[i % 7] for i in range(len(action.names)))
+            colors = tuple(JOINT_COLORS[i % 7] for i in range(len(action.names)))
             self._canvas.curves(
-                "/policy/action/fields", action.time_s, action.values, action.names, colours
+                "/policy/action/fields", action.time_s, action.values, action.names, colors
             )
             self._canvas.bounds("/policy/action/range", action.time_s, (-1.0, 1.0))
 
@@ -144,7 +142,7 @@ class RunView:
                 run.scene.time_s,
                 run.scene.values[:, index : index + 1],
                 (name,),
-                (JOINT_COLOURS[index % 7],),
+                (JOINT_COLORS[index % 7],),
             )
 
     def _draw_events(self, run: Run) -> None:

@@ -48,14 +48,14 @@ def choose_pace(layout: PolicyLayout, speed: float, hand_speed: float, limits: s
 
 
 def planning_limits(profile: str, speed: float) -> JointLimits:
-    """The joint limits to plan with: a profile's, with no more than a share of full velocity.
+    """The joint limits to plan with: a profile's, with no more than a fraction of full velocity.
 
     Full velocity is that of the fastest profile, so that a slow profile is not slowed down a
     second time. Acceleration and jerk stay: a slower robot shall not need longer to stop.
 
     Args:
         profile: Name of the profile.
-        speed: Share of the training's speed, 0..1.
+        speed: Fraction of the training's speed, 0..1.
 
     Raises:
         NotFoundError: No such profile.
@@ -66,11 +66,11 @@ def planning_limits(profile: str, speed: float) -> JointLimits:
 
 
 def followed_speed(layout: PolicyLayout, speed: float, hand_speed: float) -> float:
-    """The share of the training's speed at which the hand can follow full actions.
+    """The fraction of the training's speed at which the hand can follow full actions.
 
     Args:
         layout: Its actions and control step say how fast the policy may ask the hand to move.
-        speed: The share that was asked for.
+        speed: The fraction that was asked for.
         hand_speed: What the joint limits allow the hand, m/s.
 
     Returns:
@@ -81,5 +81,5 @@ def followed_speed(layout: PolicyLayout, speed: float, hand_speed: float) -> flo
 
 
 def action_cycles(control_dt: float, speed: float) -> int:
-    """Planner cycles that a control step takes, at a share of the training's speed or slower."""
+    """Planner cycles that a control step takes, at a fraction of the training's speed or slower."""
     return math.ceil(control_dt * 1e9 / CYCLE_NS / speed - 1e-6)

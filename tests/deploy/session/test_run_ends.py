@@ -360,7 +360,7 @@ def test_the_speed_that_is_reported_is_the_one_that_is_executed(lock_step_robot:
         FewSteps(3, give_up), DeployOptions(connect=lock_step_robot, lock_step=True, speed=0.9)
     )
     assert report.speed == pytest.approx(0.1 / 0.12)
-    assert report.velocity_share == 0.9
+    assert report.velocity_fraction == 0.9
     assert any("whole cycles" in note for note in report.notes)
 
 
@@ -379,5 +379,5 @@ def test_people_are_told_of_a_dry_run_and_of_reduced_limits(tmp_path: Path) -> N
     assert "dry run" not in printed()
     assert "dry run: nothing was sent" in printed(dry_run=True)
     assert "(lab):" in printed()
-    assert "(lab, velocity at most 30% of full):" in printed(velocity_share=0.3)
+    assert "(lab, velocity at most 30% of full):" in printed(velocity_fraction=0.3)
     assert "not whole: x.mcap" in printed(broken_files=["x.mcap"])
