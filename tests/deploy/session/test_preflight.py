@@ -1,0 +1,55 @@
+"""Where episodes start, and whether the way there is free."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from skewmi.deploy.safety.checks import ChunkChecks
+from skewmi.deploy.safety.guard import Guard
+from skewmi.deploy.session.preflight import check_way, draw_start
+from skewmi.errors import (
+    LimitViolationError,
+)
+from skewmi.robot_models import limits as joint_limits
+from skewmi.robot_models import yumi
+from skewmi.robot_models.kinematics import ArmKinematics
+from skewmi.sim.tasks.open_press_close.definition import make_layout
+
+LAB = joint_limits.profile("lab")
+
+
+@pytest.mark.parametrize("far", [False, True])
+def test_starts_lie_around_the_tasks_start(far: bool) -> None:
+    workspace = make_layout().workspace
+    assert workspace is not None
+    posture = np.array(workspace.start_configuration)
+    near = np.array(yumi.HOME["right"]) if far else posture + 0.01
+    forward = ArmKinematics("right").forward
+    starts = []
+    for seed in range(5):
+        q = draw_start(workspace, seed, 0.005, near)
+        assert (q == draw_start(workspace, seed, 0.005, near)).all()
+        hand = forward(q)[0] + np.array(workspace.base_position)
+        starts.append(hand)
+        assert np.abs(hand - np.array(workspace.start)).max() < 0.005 + 1e-4
+        assert np.abs(q - posture).max() < 0.2
+    assert np.ptp(starts, axis=0).min() > 1e-3
+
+
+def test_whole_way_to_the_start_is_checked_before_anything_moves() -> None:
+    workspace = make_layout().workspace
+    assert workspace is not None
+    checks = ChunkChecks(LAB, workspace)
+    q_goal = np.array(workspace.start_configuration)
+    check_way(q_goal + 0.02, q_goal, LAB, checks)
+    # Both ends are clear by more than is asked for; the way leads past the other arm.
+    guard = Guard(LAB, clearance=0.02)
+    checks = SimpleNamespace(stages=[("guard", lambda way, *_: guard.check(way.q, way.v, way.a))])
+    ends = [-2.5, -1.4, -0.4, 1.2, 0.6, -0.5, -2.0], [1.3, -2.4, 1.5, -0.3, 4.3, -1.2, 2.7]
+    for end in map(np.array, ends):
+        guard.check(np.tile(end, (6, 1)), np.zeros((6, 7)), np.zeros((6, 7)))
+    with pytest.raises(LimitViolationError, match="clearance"):
+        check_way(*map(np.array, ends), LAB, checks)
