@@ -136,8 +136,8 @@ def compare(one: Path, other: Path) -> bool:
     found = [name for name in names if (other / name / "metrics.csv").exists()]
     if not found or len(found) < len(names):
         raise SystemExit(f"{one} holds the runs {names}, {other} holds {found} of them")
-    # A list, so that every table is looked at.
-    return all([same(one / n / "metrics.csv", other / n / "metrics.csv") for n in found])
+    alike = [same(one / name / "metrics.csv", other / name / "metrics.csv") for name in found]
+    return all(alike)
 
 
 def main() -> int:

@@ -27,12 +27,12 @@ from stable_baselines3.common.logger import configure
 from skewmi.sim import tasks
 from skewmi.train.config import SacConfig, TrainConfig
 from skewmi.train.density import unit_scale
-from skewmi.train.hindsight import make_batch, relabel
+from skewmi.train.exploration.skew_explore import RewardTerms
 from skewmi.train.inputs import InputMap
 from skewmi.train.memory import keep_freed_memory
 from skewmi.train.replay import Episodes, Replay
-from skewmi.train.sac import Batch, Sac
-from skewmi.train.skew_explore import RewardTerms
+from skewmi.train.sac.hindsight import make_batch, relabel
+from skewmi.train.sac.sac import Batch, Sac
 
 HIDDEN = (128, 128)
 ACTIONS = 3

@@ -26,9 +26,9 @@ from skewmi.train.blocks import write_blocks
 from skewmi.train.config import TrainConfig
 from skewmi.train.files import sync, write_text
 from skewmi.train.inputs import InputMap
-from skewmi.train.networks import Actor
 from skewmi.train.policy import TorchPolicy
 from skewmi.train.replay import Replay
+from skewmi.train.sac.networks import Actor
 
 FORMAT = 1
 KEPT = 2

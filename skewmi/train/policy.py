@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from skewmi.errors import LayoutMismatchError
 from skewmi.policy_io import Array, PolicyLayout
 from skewmi.train.inputs import InputMap
-from skewmi.train.networks import Actor
+from skewmi.train.sac.networks import Actor
 
 
 class PolicyModule(nn.Module):

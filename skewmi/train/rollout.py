@@ -12,7 +12,7 @@ from skewmi.policy_io import Array
 from skewmi.train.config import RolloutConfig
 from skewmi.train.inputs import InputMap
 from skewmi.train.replay import Episodes
-from skewmi.train.sac import Sac
+from skewmi.train.sac.sac import Sac
 
 
 @dataclass(frozen=True)

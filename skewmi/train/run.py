@@ -20,7 +20,7 @@ from skewmi.train.checkpoint import (
 from skewmi.train.config import TrainConfig
 from skewmi.train.log import MetricsTable, ProgressBar
 from skewmi.train.memory import keep_freed_memory
-from skewmi.train.trainer import Trainer
+from skewmi.train.runner import Trainer
 
 COLUMNS = (
     "step",

@@ -26,7 +26,7 @@ from skewmi.train.milestones import Convergence, Discoveries
 from skewmi.train.presets import PRESETS, preset
 from skewmi.train.rollout import GoalSource, plan_goals
 from skewmi.train.run import TIME_COLUMNS, run_train
-from skewmi.train.sac import Sac
+from skewmi.train.sac.sac import Sac
 
 
 def same_table(one: Path, other: Path) -> None:

@@ -16,14 +16,14 @@ from skewmi.train.blocks import read_blocks
 from skewmi.train.checkpoint import Checkpoint
 from skewmi.train.config import TrainConfig
 from skewmi.train.density import RunningMoments, Scale, running_scale, unit_scale
-from skewmi.train.hindsight import make_batch, relabel
+from skewmi.train.exploration.skew_explore import RewardTerms, propose
 from skewmi.train.inputs import InputMap
 from skewmi.train.metrics import Measurement
 from skewmi.train.milestones import Convergence, Discoveries
 from skewmi.train.replay import Episodes, Index, Replay
 from skewmi.train.rollout import GoalSource, collect
-from skewmi.train.sac import Sac
-from skewmi.train.skew_explore import RewardTerms, propose
+from skewmi.train.sac.hindsight import make_batch, relabel
+from skewmi.train.sac.sac import Sac
 
 _BATCHES_PER_DRAW = 32
 """Batches drawn and relabelled at once: numpy's overhead per call is that of one batch."""

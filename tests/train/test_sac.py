@@ -12,8 +12,8 @@ from torch.distributions.transforms import TanhTransform
 
 from skewmi.errors import CheckpointError, ConfigurationError
 from skewmi.train.config import SacConfig
-from skewmi.train.networks import Actor, Critics
-from skewmi.train.sac import Batch, Sac
+from skewmi.train.sac.networks import Actor, Critics
+from skewmi.train.sac.sac import Batch, Sac
 
 CONFIG = SacConfig(hidden=(32, 32), batch_size=64)
 

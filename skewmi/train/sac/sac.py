@@ -17,7 +17,7 @@ from torch import Tensor
 
 from skewmi.errors import CheckpointError
 from skewmi.train.config import SacConfig
-from skewmi.train.networks import Actor, Critics
+from skewmi.train.sac.networks import Actor, Critics
 
 
 @dataclass(frozen=True)

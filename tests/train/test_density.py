@@ -14,8 +14,8 @@ from skewmi.train.density import (
     kernel_log_density,
     trajectory_log_density,
 )
+from skewmi.train.exploration.skew_explore import skew_weights
 from skewmi.train.metrics import Measurement, published_coverage, published_entropy
-from skewmi.train.skew_explore import skew_weights
 
 
 def brute_force(query: np.ndarray, points: np.ndarray, h: float) -> np.ndarray:

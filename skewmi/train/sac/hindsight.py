@@ -7,10 +7,10 @@ import torch
 
 from skewmi.policy_io import Array
 from skewmi.train.config import TrainConfig
+from skewmi.train.exploration.skew_explore import RewardTerms
 from skewmi.train.inputs import InputMap
 from skewmi.train.replay import Index, Replay, Transitions
-from skewmi.train.sac import Batch
-from skewmi.train.skew_explore import RewardTerms
+from skewmi.train.sac.sac import Batch
 
 
 def relabel(

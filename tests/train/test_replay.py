@@ -15,10 +15,10 @@ from skewmi.errors import CheckpointError
 from skewmi.train.blocks import LARGEST, read_blocks, split, write_blocks
 from skewmi.train.config import SkewConfig, TrainConfig
 from skewmi.train.density import Scale, unit_scale
-from skewmi.train.hindsight import make_batch, n_step_return, relabel
+from skewmi.train.exploration.skew_explore import RewardTerms, propose
 from skewmi.train.inputs import InputMap
 from skewmi.train.replay import Episodes, Replay
-from skewmi.train.skew_explore import RewardTerms, propose
+from skewmi.train.sac.hindsight import make_batch, n_step_return, relabel
 
 
 def make_episodes(layout, n: int, rng: np.random.Generator, paid: float = 0.1) -> Episodes:
