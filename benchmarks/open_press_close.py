@@ -157,7 +157,7 @@ def describe(record: RunRecord) -> dict[str, Any]:
         ),
         "seconds": _rounded(record.seconds),
         "threads": config.threads,
-        "evaluation_share": record.state["evaluation_share"],
+        "evaluation_share": record.state["evaluation_fraction"],
         "curve": {
             "trajectories": [int(v) for v in x],
             "evaluation_share": [round(float(v), 4) for v in y],

@@ -30,7 +30,7 @@ from skewmi.train.config import TrainConfig
 from skewmi.train.presets import preset
 
 VARIANTS: dict[str, tuple[str, ...]] = {
-    "no rare episodes": ("replay.rare_share=0",),
+    "no rare episodes": ("replay.rare_fraction=0",),
     "1-step returns": ("sac.n_step=1",),
     "gripper commanded": ("task_options.gripper_action=true",),
 }

@@ -56,7 +56,7 @@ def measure(config: TrainConfig, run_dir: Path) -> tuple[TrainResult, dict[str, 
         "first_reward_trajectory": result.discoveries.get("reward", {}).get("trajectory"),
         "rewarded_episodes": int(table["rewarded_episodes"][-1]),
         "converged_after_trajectories": result.converged_at,
-        "evaluation_share": result.evaluation_share,
+        "evaluation_share": result.evaluation_fraction,
         "seconds": round(result.seconds, 1),
         "curves": curves,
     }

@@ -28,7 +28,7 @@ from skewmi.sim import tasks
 from skewmi.train.config import SacConfig, TrainConfig
 from skewmi.train.density import unit_scale
 from skewmi.train.exploration.skew_explore import RewardTerms
-from skewmi.train.inputs import InputMap
+from skewmi.train.inputs import InputNormalizer
 from skewmi.train.memory import keep_freed_memory
 from skewmi.train.replay import Episodes, Replay
 from skewmi.train.sac.hindsight import make_batch, relabel
@@ -68,7 +68,7 @@ def make_with_replay(batch_size: int) -> tuple[Callable[[int], None], int]:
     """Updates of the learner as it trains: drawn, relabelled, 3-step, LayerNorm critics."""
     layout = tasks.layout("open_press_close", time_input=True)
     config = TrainConfig(sac=SacConfig(hidden=HIDDEN, batch_size=batch_size))
-    inputs = InputMap(layout, True)
+    inputs = InputNormalizer(layout, True)
     sac = Sac(config.sac, inputs.dim, layout.action_dim, 0)
     rng = np.random.default_rng(0)
     n, steps, d = 200, layout.episode_steps, layout.state_dim

@@ -152,11 +152,11 @@ def summary(document: dict[str, Any]) -> Table:
 
 def training_line(train: dict[str, Any]) -> str:
     """How far training came, in one line."""
-    figures = train["figures"]
+    metrics = train["metrics"]
     found = ", ".join(
         f"{name} (trajectory {where['trajectory']})" for name, where in train["discoveries"].items()
     )
     return (
-        f"{figures['trajectories']:.0f} trajectories in {train['seconds'] / 60:.1f} min; "
+        f"{metrics['trajectories']:.0f} trajectories in {train['seconds'] / 60:.1f} min; "
         f"discovered: {found or 'nothing yet'}"
     )

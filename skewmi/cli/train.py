@@ -48,7 +48,7 @@ class TrainCommand:
     rewarded. Without --steps and --minutes this is the sensible way to end."""
     set: tuple[str, ...] = ()
     """Other numbers than the preset's: SECTION.NAME=VALUE, any of config.json, say
-    sac.n_step=1 replay.rare_share=0 task_options.gripper_action=true. Values are JSON."""
+    sac.n_step=1 replay.rare_fraction=0 task_options.gripper_action=true. Values are JSON."""
     num_envs: int | None = None
     """Environments stepped together; default: the preset's."""
     variation: str | None = None
@@ -205,7 +205,7 @@ def as_text(result: TrainResult) -> str:
     converged = (
         f"converged after {result.converged_at:,} trajectories"
         if result.converged_at is not None
-        else f"not converged ({result.evaluation_share:.0%} of the last states rewarded)"
+        else f"not converged ({result.evaluation_fraction:.0%} of the last states rewarded)"
     )
     return "\n".join([*lines, f"  {converged}"])
 

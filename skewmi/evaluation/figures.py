@@ -28,7 +28,10 @@ _CURVES: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
     ("coverage", (("covered_cells", "reachable cells"), ("coverage", "as published"))),
     (
         "rewarded share",
-        (("rewarded_share", "of episodes"), ("evaluation_share", "of last states, evaluation")),
+        (
+            ("rewarded_fraction", "of episodes"),
+            ("evaluation_fraction", "of last states, evaluation"),
+        ),
     ),
     ("extrinsic return", (("return", "training"), ("evaluation_return", "evaluation"))),
     ("policy entropy, nats, and temperature", (("policy_entropy", "entropy"),)),
@@ -107,7 +110,7 @@ def draw_coverage(
         chosen.sort()
         flat, episodes = flat[chosen], episodes[chosen]
     names = [field.name for field in layout.state_fields]
-    grid = [names.index(axis.field) for axis in config.measure.grid[:2]]
+    grid = [names.index(axis.field) for axis in config.metrics.grid[:2]]
     panels = [grid if len(grid) == 2 else [0, 1]]
     if {"hand_y", "hand_z"} <= set(names):
         panels.append([names.index("hand_y"), names.index("hand_z")])

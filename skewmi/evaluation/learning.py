@@ -59,13 +59,13 @@ class RunRecord:
     def discoveries(self) -> dict[str, dict[str, int] | None]:
         """First trajectory and step of every event the run looked for, None if never met."""
         found = self.state["discoveries"]
-        names = (*(event.name for event in self.config.measure.events), REWARD_EVENT)
+        names = (*(event.name for event in self.config.metrics.events), REWARD_EVENT)
         return {name: found.get(name) for name in names}
 
     @property
     def curve(self) -> tuple[Array, Array]:
         """Trajectories, and the evaluations' rewarded share of last states, equal shapes."""
-        x, y = np.array(self.table["trajectories"]), np.array(self.table["evaluation_share"])
+        x, y = np.array(self.table["trajectories"]), np.array(self.table["evaluation_fraction"])
         known = np.isfinite(y)
         return x[known], y[known]
 
@@ -162,8 +162,8 @@ def _colour(index: int) -> str:
 
 
 def _draw_curves(axis: Axes, records: Sequence[RunRecord]) -> None:
-    measure = records[0].config.measure
-    threshold = measure.convergence_share - measure.convergence_tolerance
+    metrics = records[0].config.metrics
+    threshold = metrics.convergence_fraction - metrics.convergence_tolerance
     axis.axhline(100.0 * threshold, color=drawing.GREY, linewidth=0.8, linestyle=":")
     axis.text(0.0, 100.0 * threshold + 1.5, " converged", fontsize=7, color=drawing.GREY)
     alone = len(records) == 1

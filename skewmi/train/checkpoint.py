@@ -25,7 +25,7 @@ from skewmi.policy_io import PolicyLayout
 from skewmi.train.blocks import write_blocks
 from skewmi.train.config import TrainConfig
 from skewmi.train.files import sync, write_text
-from skewmi.train.inputs import InputMap
+from skewmi.train.inputs import InputNormalizer
 from skewmi.train.policy import TorchPolicy
 from skewmi.train.replay import Replay
 from skewmi.train.sac.networks import Actor
@@ -165,13 +165,13 @@ def read_checkpoint(run_dir: Path, which: str = "latest") -> Checkpoint:
 def load_policy(run_dir: Path, which: str = "latest") -> TorchPolicy:
     """The policy of a run, ready to act.
 
-    Its reference point is the one that the run's evaluation episodes were commanded to: once
+    Its goal is the one that the run's evaluation episodes had: once
     a reward was met, the most central of the recently rewarded states; before that, the last
     proposal.
 
     Args:
         run_dir: Of the run.
-        which: `latest`, or `best` by the rewarded share of the evaluation episodes.
+        which: `latest`, or `best` by the rewarded fraction of the evaluation episodes.
 
     Raises:
         CheckpointError: There is no such run or checkpoint, or it is damaged.
@@ -179,7 +179,7 @@ def load_policy(run_dir: Path, which: str = "latest") -> TorchPolicy:
     run_dir = Path(run_dir)
     config, layout = read_run_header(run_dir)
     checkpoint = read_checkpoint(run_dir, which)
-    inputs = InputMap(layout, config.sac.normalise_input)
+    inputs = InputNormalizer(layout, config.sac.normalize_input)
     bounds = (config.sac.log_std_min, config.sac.log_std_max)
     actor = Actor(inputs.dim, layout.action_dim, config.sac.hidden, bounds)
     prefix = "actor."
@@ -191,7 +191,7 @@ def load_policy(run_dir: Path, which: str = "latest") -> TorchPolicy:
                 if k.startswith(prefix)
             }
         )
-        goal = np.asarray(checkpoint.state["command_goal"], dtype=np.float64)
+        goal = np.asarray(checkpoint.state["evaluation_goal"], dtype=np.float64)
         metadata = {
             "task": layout.task,
             "method": "skew-explore",
@@ -200,7 +200,7 @@ def load_policy(run_dir: Path, which: str = "latest") -> TorchPolicy:
             "task_options": dict(config.task_options),
             "environment_steps": checkpoint.state["step"],
             "updates": checkpoint.state["updates"],
-            "evaluation_share": checkpoint.state["evaluation_share"],
+            "evaluation_fraction": checkpoint.state["evaluation_fraction"],
             "checkpoint": checkpoint.path.name,
             "layout_hash": layout.hash(),
         }

@@ -21,15 +21,15 @@ class SacConfig:
     hidden: tuple[int, ...] = (128, 128)
     """Units of the hidden layers, ReLU, of actor and critics alike."""
     layer_norm: bool = True
-    """Normalise each hidden layer of the critics before its ReLU (no learned gain)."""
-    normalise_input: bool = True
-    """Map observation and reference point from the layout's ranges to [-1, 1]."""
+    """Normalize each hidden layer of the critics before its ReLU (no learned gain)."""
+    normalize_input: bool = True
+    """Map observation and goal from the layout's ranges to [-1, 1]."""
     learning_rate: float = 5e-4
     """Of Adam, for actor, critics and temperature."""
     discount: float = 0.99
     """Per control step."""
     polyak: float = 0.005
-    """Share of the critics that moves into the target critics at each update."""
+    """Fraction of the critics that moves into the target critics at each update."""
     batch_size: int = 256
     """Transitions per update."""
     n_step: int = 3
@@ -64,34 +64,41 @@ class ReplayConfig:
 
     capacity_steps: int = 5_000_000
     """Steps kept; whole episodes, oldest dropped first."""
-    future_share: float = 0.5
-    """Share of a batch relabelled with a state reached later in the same episode."""
-    proposal_share: float = 0.3
-    """Share of a batch relabelled with a present proposal; the rest keeps its own."""
-    rewarded_share: float = 0.25
-    """Share of a batch drawn from episodes that met the extrinsic reward, once there are any."""
-    rare_share: float = 0.25
-    """Share of a batch drawn from the episodes in which the present proposals were met."""
+    future_fraction: float = 0.5
+    """Fraction of a batch relabelled with a state reached later in the same episode."""
+    proposal_fraction: float = 0.3
+    """Fraction of a batch relabelled with a present proposal; the rest keeps its own."""
+    rewarded_fraction: float = 0.25
+    """Fraction of a batch drawn from episodes that met the extrinsic reward, once there are any."""
+    rare_fraction: float = 0.25
+    """Fraction of a batch drawn from the episodes in which the present proposals were met."""
 
     def __post_init__(self) -> None:
-        shares = (self.future_share, self.proposal_share, self.rewarded_share, self.rare_share)
+        fractions = (
+            self.future_fraction,
+            self.proposal_fraction,
+            self.rewarded_fraction,
+            self.rare_fraction,
+        )
         _require(
-            min(shares) >= 0.0 and shares[0] + shares[1] <= 1.0 and shares[2] + shares[3] <= 1.0,
-            f"shares {shares} (future, proposal, rewarded, rare) must lie in [0, 1], "
+            min(fractions) >= 0.0
+            and fractions[0] + fractions[1] <= 1.0
+            and fractions[2] + fractions[3] <= 1.0,
+            f"fractions {fractions} (future, proposal, rewarded, rare) must lie in [0, 1], "
             "future + proposal and rewarded + rare too",
         )
 
 
 @dataclass(frozen=True)
 class SkewConfig:
-    """Skew-Explore: reference points from a skewed density, reward from two densities."""
+    """Skew-Explore: goals from a skewed density, reward from two densities."""
 
     intrinsic: float = 0.005
     """w_int, in front of log p_z(s) - log p_tau(s)."""
     extrinsic: float = 1.0
     """w_ext, in front of the task's reward of 1 per step."""
     sigma: float = 0.7
-    """Standard deviation of p_z around the reference point, in density units."""
+    """Standard deviation of p_z around the goal, in density units."""
     trajectory_bandwidth: float = 0.2
     """Of the kernels of p_tau, in density units."""
     trajectory_density: str = "prefix"
@@ -103,7 +110,7 @@ class SkewConfig:
     running_scale: bool = True
     """Density units: running mean and standard deviation (True) or the layout's units (False)."""
     scale_floor: float = 0.1
-    """Smallest running standard deviation, as a share of half the field's range."""
+    """Smallest running standard deviation, as a fraction of half the field's range."""
     field_weights: tuple[tuple[str, float], ...] = ()
     """Fields whose distance counts more when goals are proposed: (name, factor)."""
     weights_in_reward: bool = False
@@ -113,7 +120,7 @@ class SkewConfig:
     history_bandwidth: float = 0.5
     """Of its kernels, in density units."""
     candidates: int = 12_000
-    """States among which the reference points are chosen."""
+    """States among which the goals are chosen."""
     candidates_from: str = "history"
     """`history`: visited states, thus reachable; `density`: samples of the kernel density."""
     self_count: float = 1.0
@@ -121,7 +128,7 @@ class SkewConfig:
     weight_exponent: float = -2.5
     """Candidates drawn from p are weighted p to this power; the code's alpha plus one."""
     goals: int = 100
-    """Reference points proposed at a time."""
+    """Goals proposed at a time."""
     refresh_steps: int = 5_000
     """Environment steps between two proposals."""
     first_refresh_steps: int = 2_000
@@ -147,17 +154,17 @@ class RolloutConfig:
     random_steps: int = 5_000
     """Environment steps of uniform random actions at the start."""
     switch_probability: float = 0.015
-    """Chance per step that the reference point changes within an episode."""
-    noise_share: float = 0.4
-    """Share of episodes that end in random motion, from a uniformly drawn step on."""
+    """Chance per step that the goal changes within an episode."""
+    noise_probability: float = 0.4
+    """Fraction of episodes that end in random motion, from a uniformly drawn step on."""
     noise_correlation: float = 0.85
     """Of that motion from step to step (first-order autoregressive, unit variance)."""
-    command_max: float = 0.7
-    """Highest share of episodes whose reference point is a rewarded state."""
-    command_per_success: float = 0.01
-    """Growth of that share per rewarded episode."""
+    rewarded_goal_max: float = 0.7
+    """Highest probability that an episode gets a rewarded state as its goal."""
+    rewarded_goal_per_success: float = 0.01
+    """Growth of that probability per rewarded episode."""
     evaluation_envs: int = 2
-    """Environments that run the mean action towards the reference point to be exported."""
+    """Environments that run the mean action towards the goal to be exported."""
 
 
 @dataclass(frozen=True)
@@ -188,7 +195,7 @@ class GridAxis:
 
 
 @dataclass(frozen=True)
-class MeasureConfig:
+class MetricsConfig:
     """What is measured besides returns."""
 
     grid: tuple[GridAxis, ...] = ()
@@ -205,8 +212,8 @@ class MeasureConfig:
     """Environment steps between two measurements."""
     events: tuple[Event, ...] = ()
     """First times to log; the first reward always is."""
-    convergence_share: float = 0.9
-    """Rewarded share of the last states of the last trajectories that counts as converged."""
+    convergence_fraction: float = 0.9
+    """Rewarded fraction of the last states of the last trajectories that counts as converged."""
     convergence_tolerance: float = 0.03
     """Tolerance of it: the published criterion is 90 +- 3 %, and we take the lower edge."""
 
@@ -242,7 +249,7 @@ class TrainConfig:
     replay: ReplayConfig = field(default_factory=ReplayConfig)
     skew: SkewConfig = field(default_factory=SkewConfig)
     rollout: RolloutConfig = field(default_factory=RolloutConfig)
-    measure: MeasureConfig = field(default_factory=MeasureConfig)
+    metrics: MetricsConfig = field(default_factory=MetricsConfig)
 
     def __post_init__(self) -> None:
         _require(self.device in ("cpu", "cuda"), f"device is {self.device!r}; allowed: cpu, cuda")
@@ -268,21 +275,21 @@ class TrainConfig:
         try:
             c: dict[str, Any] = json.loads(text)
             sac, replay, skew = c.pop("sac"), c.pop("replay"), c.pop("skew")
-            rollout, measure = c.pop("rollout"), c.pop("measure")
+            rollout, metrics = c.pop("rollout"), c.pop("metrics")
             c["task_options"] = tuple((n, v) for n, v in c["task_options"])
             sac["hidden"] = tuple(sac["hidden"])
             skew["field_weights"] = tuple((n, w) for n, w in skew["field_weights"])
-            measure["grid"] = tuple(GridAxis(**axis) for axis in measure["grid"])
-            measure["events"] = tuple(
+            metrics["grid"] = tuple(GridAxis(**axis) for axis in metrics["grid"])
+            metrics["events"] = tuple(
                 Event(e["name"], tuple(Condition(**x) for x in e["conditions"]))
-                for e in measure["events"]
+                for e in metrics["events"]
             )
             return TrainConfig(
                 sac=SacConfig(**sac),
                 replay=ReplayConfig(**replay),
                 skew=SkewConfig(**skew),
                 rollout=RolloutConfig(**rollout),
-                measure=MeasureConfig(**measure),
+                metrics=MetricsConfig(**metrics),
                 **c,
             )
         except (KeyError, TypeError, ValueError, AttributeError) as error:

@@ -18,19 +18,19 @@ _NEGLIGIBLE = -80.0
 normal numbers (-87) exp takes a slow path, fifteen times slower than the rest together."""
 
 
-def gaussian_log_density(x: Array, centre: Array, sigma: float) -> Array:
-    """log N(x; centre, sigma^2 I).
+def gaussian_log_density(x: Array, center: Array, sigma: float) -> Array:
+    """log N(x; center, sigma^2 I).
 
     Args:
         x: Shape (..., d).
-        centre: Broadcasts with x.
+        center: Broadcasts with x.
         sigma: Standard deviation, same unit as x.
 
     Returns:
         Shape (...).
     """
     d = x.shape[-1]
-    squared = np.square(x - centre).sum(-1)
+    squared = np.square(x - center).sum(-1)
     density: Array = -0.5 * squared / sigma**2 - d * math.log(sigma) - 0.5 * d * _LOG_TWO_PI
     return density
 
@@ -66,10 +66,10 @@ def kernel_log_density(
     """
     n, d = points.shape
     dtype = torch.float32 if single else torch.float64
-    # |x - y|^2 = |x|^2 + |y|^2 - 2 x.y loses digits far from the origin, so centre first.
-    centre = points.mean(0)
-    x = torch.as_tensor((query - centre) / bandwidth, dtype=dtype)
-    y = torch.as_tensor((points - centre) / bandwidth, dtype=dtype)
+    # |x - y|^2 = |x|^2 + |y|^2 - 2 x.y loses digits far from the origin, so center first.
+    center = points.mean(0)
+    x = torch.as_tensor((query - center) / bandwidth, dtype=dtype)
+    y = torch.as_tensor((points - center) / bandwidth, dtype=dtype)
     half_y = 0.5 * y.square().sum(1)
     rows = max(1, chunk // n)
     result = torch.empty(len(x), dtype=dtype)
@@ -139,7 +139,7 @@ class Scale:
         return states
 
 
-class RunningMoments:
+class RunningMeanStd:
     """Mean and variance of everything seen, per field (Chan's parallel update)."""
 
     def __init__(self, dim: int) -> None:
@@ -181,18 +181,18 @@ def unit_scale(layout: PolicyLayout, weights: tuple[tuple[str, float], ...] = ()
 
 def running_scale(
     layout: PolicyLayout,
-    moments: RunningMoments,
+    running: RunningMeanStd,
     floor: float,
     weights: tuple[tuple[str, float], ...] = (),
 ) -> Scale:
     """Running mean and standard deviation.
 
     A field that has hardly moved yet would get a tiny unit, and its noise would fill the
-    density; `floor` is the smallest unit, as a share of half the field's nominal range.
+    density; `floor` is the smallest unit, as a fraction of half the field's nominal range.
     """
     half = np.array([0.5 * (field.high - field.low) for field in layout.state_fields])
-    unit = np.maximum(np.sqrt(moments.variance), np.maximum(floor * half, 1e-8))
-    return Scale(moments.mean.copy(), unit, field_weights(layout, weights))
+    unit = np.maximum(np.sqrt(running.variance), np.maximum(floor * half, 1e-8))
+    return Scale(running.mean.copy(), unit, field_weights(layout, weights))
 
 
 def field_weights(layout: PolicyLayout, weights: tuple[tuple[str, float], ...]) -> Array:

@@ -71,7 +71,7 @@ def read_metrics(run_dir: Path) -> dict[str, list[float]]:
 
 
 class ProgressBar:
-    """A bar with the figures that matter; silent when not wanted."""
+    """A bar with the metrics that matter; silent when not wanted."""
 
     def __init__(self, total: int, enabled: bool) -> None:
         console = Console(file=sys.stderr)
@@ -81,14 +81,14 @@ class ProgressBar:
             TextColumn("{task.completed:,}/{task.total:,} steps"),
             TimeElapsedColumn(),
             TimeRemainingColumn(),
-            TextColumn("{task.fields[figures]}"),
+            TextColumn("{task.fields[metrics]}"),
             console=console,
             disable=not enabled or not console.is_terminal,
         )
         # Without a terminal a line now and then says more than a bar.
         self._console = console if enabled and not console.is_terminal else None
         self._printed = 0
-        self._task = self._progress.add_task("training", total=total, figures="")
+        self._task = self._progress.add_task("training", total=total, metrics="")
 
     def __enter__(self) -> ProgressBar:
         self._progress.start()
@@ -102,11 +102,11 @@ class ProgressBar:
     ) -> None:
         self._progress.stop()
 
-    def update(self, step: int, iteration: int, figures: str) -> None:
+    def update(self, step: int, iteration: int, metrics: str) -> None:
         """Move the bar."""
-        self._progress.update(self._task, completed=step, figures=figures)
+        self._progress.update(self._task, completed=step, metrics=metrics)
         if self._console is not None and iteration % 10 == 0:
-            self._console.print(f"{step:,} steps  {figures}", highlight=False)
+            self._console.print(f"{step:,} steps  {metrics}", highlight=False)
 
     def note(self, text: str) -> None:
         """A line above the bar."""

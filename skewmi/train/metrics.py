@@ -11,7 +11,7 @@ Sound:
 
 * differential entropy: -mean log p over visited states, each left out of its own density, in
   nats for coordinates in the grid's units. A bound is log(reachable area).
-* covered cells: visited share of the grid's cells whose centre is reachable.
+* covered cells: visited fraction of the grid's cells whose center is reachable.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from scipy.spatial import cKDTree
 from skewmi.batch_env import BatchEnv
 from skewmi.errors import ConfigurationError
 from skewmi.policy_io import Array, PolicyLayout
-from skewmi.train.config import MeasureConfig
+from skewmi.train.config import MetricsConfig
 from skewmi.train.density import kernel_log_density
 from skewmi.train.replay import Replay
 
@@ -45,10 +45,10 @@ def published_coverage(distance: Array, width: float) -> float:
     return float(np.mean(np.exp(-0.5 * np.square(distance / width))))
 
 
-class Measurement:
-    """Running measurements on the grid of a `MeasureConfig`."""
+class CoverageMetrics:
+    """Running measurements on the grid of a `MetricsConfig`."""
 
-    def __init__(self, layout: PolicyLayout, config: MeasureConfig) -> None:
+    def __init__(self, layout: PolicyLayout, config: MetricsConfig) -> None:
         names = [field.name for field in layout.state_fields]
         unknown = [axis.field for axis in config.grid if axis.field not in names]
         if unknown:
@@ -71,17 +71,17 @@ class Measurement:
         self.reachable: NDArray[np.bool_] = np.ones(len(self.points), dtype=np.bool_)
 
     def set_reachable(self, env: BatchEnv, first_state: Array) -> None:
-        """Ask the task which cell centres can be reached, other fields as in `first_state`."""
+        """Ask the task which cell centers can be reached, other fields as in `first_state`."""
         if self.columns:
             states = np.repeat(first_state[None], len(self.points), axis=0)
-            states[:, self.columns] = self._centres() * self.unit + self.offset
+            states[:, self.columns] = self._centers() * self.unit + self.offset
             self.reachable = env.reachable(states)
 
     def _cell(self) -> Array:
         side: Array = (self.high - self.low) / self.counts
         return side
 
-    def _centres(self) -> Array:
+    def _centers(self) -> Array:
         half: Array = 0.5 * self._cell()
         return grid_points(self.low + half, self.high - half, self.counts)
 

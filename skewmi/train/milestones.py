@@ -75,30 +75,30 @@ class Discoveries:
 
 
 class Convergence:
-    """Rewarded share of the last 10 states of the last 10 trajectories."""
+    """Rewarded fraction of the last 10 states of the last 10 trajectories."""
 
     STATES = 10
     TRAJECTORIES = 10
 
-    def __init__(self, share: float, tolerance: float) -> None:
-        self.threshold = share - tolerance
-        self.shares: deque[float] = deque(maxlen=self.TRAJECTORIES)
+    def __init__(self, fraction: float, tolerance: float) -> None:
+        self.threshold = fraction - tolerance
+        self.fractions: deque[float] = deque(maxlen=self.TRAJECTORIES)
         self.returns: deque[float] = deque(maxlen=self.TRAJECTORIES)
 
     def add(self, rewards: Array) -> None:
         """Take in finished trajectories, rewards of shape (n, steps)."""
-        self.shares.extend((rewards[:, -self.STATES :] > 0.0).mean(1).tolist())
+        self.fractions.extend((rewards[:, -self.STATES :] > 0.0).mean(1).tolist())
         self.returns.extend(rewards.sum(1).tolist())
 
     @property
-    def share(self) -> float:
-        return float(np.mean(self.shares)) if self.shares else 0.0
+    def fraction(self) -> float:
+        return float(np.mean(self.fractions)) if self.fractions else 0.0
 
     @property
     def score(self) -> tuple[float, float]:
-        """Orders policies: the share, then the mean return of the same trajectories."""
-        return self.share, float(np.mean(self.returns)) if self.returns else 0.0
+        """Orders policies: the fraction, then the mean return of the same trajectories."""
+        return self.fraction, float(np.mean(self.returns)) if self.returns else 0.0
 
     @property
     def converged(self) -> bool:
-        return len(self.shares) == self.TRAJECTORIES and self.share >= self.threshold - 1e-9
+        return len(self.fractions) == self.TRAJECTORIES and self.fraction >= self.threshold - 1e-9

@@ -10,30 +10,32 @@ from torch import Tensor, nn
 
 from skewmi.errors import LayoutMismatchError
 from skewmi.policy_io import Array, PolicyLayout
-from skewmi.train.inputs import InputMap
+from skewmi.train.inputs import InputNormalizer
 from skewmi.train.sac.networks import Actor
 
 
 class PolicyModule(nn.Module):
     """Raw observation (n, observation_dim) float32 -> action in [-1, 1] (n, action_dim).
 
-    The input map and the reference point are constants of the module, so exporting it exports
+    The input map and the goal are constants of the module, so exporting it exports
     the whole policy. The action is the mode of the squashed policy's Gaussian, tanh(mean).
     """
 
-    def __init__(self, actor: Actor, inputs: InputMap, observation_dim: int, goal: Array) -> None:
+    def __init__(
+        self, actor: Actor, inputs: InputNormalizer, observation_dim: int, goal: Array
+    ) -> None:
         super().__init__()
         self.body = actor.body
         self.action_dim = actor.body[-1].out_features // 2  # type: ignore[operator]
         # In float64 here, so that the folded constants round once only.
         n = observation_dim
-        reference = (goal - inputs.centre[n:]) / inputs.half[n:]
-        self.register_buffer("centre", _single(inputs.centre[:n]))
+        reference = (goal - inputs.center[n:]) / inputs.half[n:]
+        self.register_buffer("center", _single(inputs.center[:n]))
         self.register_buffer("inverse_half", _single(1.0 / inputs.half[:n]))
         self.register_buffer("reference", _single(reference))
 
     def forward(self, observation: Tensor) -> Tensor:
-        scaled = (observation - self.centre) * self.inverse_half  # type: ignore[operator]
+        scaled = (observation - self.center) * self.inverse_half  # type: ignore[operator]
         reference: Tensor = self.reference  # type: ignore[assignment]
         whole = torch.cat((scaled, reference.expand(observation.shape[0], -1)), dim=-1)
         mean: Tensor = self.body(whole)[:, : self.action_dim]
@@ -41,20 +43,20 @@ class PolicyModule(nn.Module):
 
 
 class TorchPolicy:
-    """A checkpoint's policy with its reference point fixed; satisfies `policy_io.Policy`.
+    """A checkpoint's policy with its goal fixed; satisfies `policy_io.Policy`.
 
     Attributes:
         layout: What it was trained on.
         module: See `PolicyModule`; what `export` writes.
-        goal: The fixed reference point, in the task's units. Shape (state_dim,).
-        metadata: Task, method, seed, steps and training figures; JSON-serialisable.
+        goal: The fixed goal, in the task's units. Shape (state_dim,).
+        metadata: Task, method, seed, steps and training metrics; JSON-serialisable.
     """
 
     def __init__(
         self,
         layout: PolicyLayout,
         actor: Actor,
-        inputs: InputMap,
+        inputs: InputNormalizer,
         goal: Array,
         metadata: dict[str, Any],
     ) -> None:

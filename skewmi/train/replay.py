@@ -2,12 +2,12 @@
 
 Layout of the array, columns of one row (float32):
 
-    observation | action | reference point | reward | log p_tau
+    observation | action | goal | reward | log p_tau
 
-Row t of an episode holds the observation before step t, the action and reference point of
+Row t of an episode holds the observation before step t, the action and goal of
 step t, and the extrinsic reward and the trajectory density of the state that step t led to.
 The last row, t = episode_steps, holds the last observation only. log p_tau does not depend on
-the reference point, so one scalar per transition is all that relabelling needs.
+the goal, so one scalar per transition is all that relabelling needs.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Episodes:
     Attributes:
         observations: Shape (episodes, steps + 1, observation_dim).
         actions: Shape (episodes, steps, action_dim).
-        goals: Reference points. Shape (episodes, steps, state_dim).
+        goals: Goals. Shape (episodes, steps, state_dim).
         rewards: Extrinsic, after each step. Shape (episodes, steps).
     """
 
@@ -149,31 +149,31 @@ class Replay:
         self,
         count: int,
         n_step: int,
-        rewarded_share: float,
+        rewarded_fraction: float,
         generator: np.random.Generator,
         *,
         rare: Index | None = None,
-        rare_share: float = 0.0,
+        rare_fraction: float = 0.0,
     ) -> Transitions:
-        """Draw transitions uniformly, but for a share from rewarded and one from rare episodes.
+        """Draw transitions uniformly, but for a fraction from rewarded and one from rare episodes.
 
         Args:
             count: How many.
             n_step: Steps of reward each sums at most.
-            rewarded_share: Share from episodes with extrinsic reward, if there are any.
+            rewarded_fraction: Share from episodes with extrinsic reward, if there are any.
             generator: Of the random choices.
             rare: Slots of episodes that met rare states. Shape (k,), k may be 0.
-            rare_share: Share from those, if there are any.
+            rare_fraction: Share from those, if there are any.
         """
         episode = generator.integers(len(self), size=count)
         kind = generator.random(count)
         slots = np.flatnonzero(self.rewarded[: len(self)])
         if rare is not None and len(rare):
             drawn = rare[generator.integers(len(rare), size=count)]
-            episode = np.where(kind > 1.0 - rare_share, drawn, episode)
+            episode = np.where(kind > 1.0 - rare_fraction, drawn, episode)
         if len(slots):
             drawn = slots[generator.integers(len(slots), size=count)]
-            episode = np.where(kind < rewarded_share, drawn, episode)
+            episode = np.where(kind < rewarded_fraction, drawn, episode)
         step = generator.integers(self.steps, size=count)
         first = self.rows[episode, step]
         length = np.minimum(n_step, self.steps - step)

@@ -1,4 +1,4 @@
-"""Collecting whole episodes: reference points, switching, random tails, evaluation copies."""
+"""Collecting whole episodes: goals, switching, random tails, evaluation copies."""
 
 from __future__ import annotations
 
@@ -10,35 +10,35 @@ from numpy.typing import NDArray
 from skewmi.batch_env import BatchEnv
 from skewmi.policy_io import Array
 from skewmi.train.config import RolloutConfig
-from skewmi.train.inputs import InputMap
+from skewmi.train.inputs import InputNormalizer
 from skewmi.train.replay import Episodes
 from skewmi.train.sac.sac import Sac
 
 
 @dataclass(frozen=True)
 class GoalSource:
-    """Where reference points come from.
+    """Where goals come from.
 
     Attributes:
         proposals: Of the skewed density. Shape (k, state_dim).
-        rewarded: Rewarded states that may be commanded. Shape (m, state_dim), m may be 0.
-        command: The one that evaluation episodes get. Shape (state_dim,).
-        command_share: Probability that an episode is commanded to a rewarded state.
+        rewarded: Rewarded states that may be given as goals. Shape (m, state_dim), m may be 0.
+        evaluation_goal: The one that evaluation episodes get. Shape (state_dim,).
+        rewarded_goal_probability: Probability that an episode is given a rewarded state.
     """
 
     proposals: Array
     rewarded: Array
-    command: Array
-    command_share: float
+    evaluation_goal: Array
+    rewarded_goal_probability: float
 
     def draw(self, count: int, generator: np.random.Generator) -> tuple[Array, NDArray[np.bool_]]:
-        """Reference points (count, state_dim), and which of them are rewarded states."""
+        """Goals (count, state_dim), and which of them are rewarded states."""
         goals = self.proposals[generator.integers(len(self.proposals), size=count)]
-        commanded = generator.random(count) < self.command_share
+        rewarded = generator.random(count) < self.rewarded_goal_probability
         if not len(self.rewarded):
             return goals, np.zeros(count, dtype=np.bool_)
         chosen = self.rewarded[generator.integers(len(self.rewarded), size=count)]
-        return np.where(commanded[:, None], chosen, goals), commanded
+        return np.where(rewarded[:, None], chosen, goals), rewarded
 
 
 def plan_goals(
@@ -49,30 +49,30 @@ def plan_goals(
     switch_probability: float,
     generator: np.random.Generator,
 ) -> Array:
-    """Reference point of every step of a batch of episodes.
+    """Goal of every step of a batch of episodes.
 
-    The first `evaluation` episodes keep the command. The others start with a draw and, unless
-    that commanded a rewarded state, change to another proposal with `switch_probability` at
+    The first `evaluation` episodes keep the evaluation goal. The others start with a draw and,
+    unless that gave a rewarded state, change to another proposal with `switch_probability` at
     every step: the policy then learns to go from one region to the next, not only from the
     start.
 
     Returns:
         Shape (num_envs, steps, state_dim).
     """
-    first, commanded = source.draw(num_envs, generator)
+    first, rewarded = source.draw(num_envs, generator)
     switch = generator.random((num_envs, steps)) < switch_probability
-    switch[commanded] = False
+    switch[rewarded] = False
     switch[:, 0] = True
     fresh = source.proposals[generator.integers(len(source.proposals), size=(num_envs, steps))]
     fresh[:, 0] = first
     # Index of the latest switch at or before every step.
     latest = np.maximum.accumulate(np.where(switch, np.arange(steps), 0), axis=1)
     goals: Array = np.take_along_axis(fresh, latest[:, :, None], axis=1)
-    goals[:evaluation] = source.command
+    goals[:evaluation] = source.evaluation_goal
     return goals
 
 
-class RandomTail:
+class ExplorationNoise:
     """Correlated random actions from a drawn step of an episode to its end.
 
     a_t = rho a_{t-1} + sqrt(1 - rho^2) e_t with e_t standard normal: stays away from the
@@ -90,7 +90,7 @@ class RandomTail:
         self.correlation = config.noise_correlation
         self.generator = generator
         begin = generator.integers(0, steps, size=num_envs)
-        self.begin = np.where(generator.random(num_envs) < config.noise_share, begin, steps)
+        self.begin = np.where(generator.random(num_envs) < config.noise_probability, begin, steps)
         self.begin[: config.evaluation_envs] = steps
         self.noise: Array = generator.standard_normal((num_envs, action_dim))
 
@@ -105,7 +105,7 @@ class RandomTail:
 def collect(
     env: BatchEnv,
     sac: Sac,
-    inputs: InputMap,
+    inputs: InputNormalizer,
     source: GoalSource,
     config: RolloutConfig,
     generator: np.random.Generator,
@@ -118,7 +118,7 @@ def collect(
         env: Reset here.
         sac: Gives the actions.
         inputs: Of its networks.
-        source: Of the reference points.
+        source: Of the goals.
         config: See `RolloutConfig`.
         generator: Of everything random but the policy's own noise.
         random_actions: Uniform actions instead of the policy's.
@@ -127,7 +127,7 @@ def collect(
     steps, dim = layout.episode_steps, layout.action_dim
     evaluation = config.evaluation_envs
     goals = plan_goals(source, n, steps, evaluation, config.switch_probability, generator)
-    tail = RandomTail(n, steps, dim, config, generator)
+    tail = ExplorationNoise(n, steps, dim, config, generator)
     observations = np.empty((n, steps + 1, layout.observation_dim))
     actions, rewards = np.empty((n, steps, dim)), np.empty((n, steps))
     observations[:, 0] = env.reset()

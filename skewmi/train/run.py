@@ -27,10 +27,10 @@ COLUMNS = (
     "trajectories",
     "updates",
     "return",
-    "rewarded_share",
+    "rewarded_fraction",
     "rewarded_episodes",
     "evaluation_return",
-    "evaluation_share",
+    "evaluation_fraction",
     "entropy",
     "coverage",
     "differential_entropy",
@@ -63,15 +63,15 @@ class TrainResult:
     trajectories: int
     converged_at: int | None
     """Trajectories after which the published criterion held first, or None."""
-    evaluation_share: float
-    """Rewarded share of the last 10 states of the last 10 evaluation trajectories."""
+    evaluation_fraction: float
+    """Rewarded fraction of the last 10 states of the last 10 evaluation trajectories."""
     discoveries: dict[str, dict[str, int]]
     """First trajectory and step of each event."""
     stopped_by: str
     """`steps`, `minutes` or `convergence`."""
     seconds: float
     """Of this part of the run, wall clock."""
-    figures: dict[str, float]
+    metrics: dict[str, float]
     """Last row of the table."""
 
 
@@ -119,15 +119,15 @@ def run_train(
     trainer, resumed_at = _open(config, env, run_dir, resume, start_from)
     before = float(trainer_seconds(run_dir)) if resumed_at is not None else 0.0
     table = MetricsTable(run_dir, COLUMNS, resumed_at)
-    figures: dict[str, float] = {}
+    metrics: dict[str, float] = {}
     try:
         with ProgressBar(config.total_steps, progress) as bar:
             while (stop := _stop_reason(config, trainer, time.monotonic() - started)) is None:
-                figures, new = trainer.iterate()
-                figures["seconds"] = before + time.monotonic() - started
+                metrics, new = trainer.iterate()
+                metrics["seconds"] = before + time.monotonic() - started
                 # The row first: rows after the checkpoint are dropped on resuming, so a kill
                 # between the two costs neither a row nor doubles one.
-                table.write(figures)
+                table.write(metrics)
                 if trainer.improved():
                     tensors, state = trainer.tensors(), trainer.state()
                     write_checkpoint(run_dir, trainer.steps, tensors, state, None, best=True)
@@ -136,8 +136,8 @@ def run_train(
                 for name in new:
                     first = trainer.discoveries.first[name]
                     bar.note(f"first {name}: trajectory {first['trajectory']:,}")
-                bar.update(trainer.steps, trainer.iteration, _headline(figures))
-        if figures and trainer.iteration % config.checkpoint_every != 0:
+                bar.update(trainer.steps, trainer.iteration, _headline(metrics))
+        if metrics and trainer.iteration % config.checkpoint_every != 0:
             _save(trainer, run_dir)
     finally:
         table.close()
@@ -146,11 +146,11 @@ def run_train(
         steps=trainer.steps,
         trajectories=trainer.episodes,
         converged_at=trainer.converged_at,
-        evaluation_share=trainer.convergence.share,
+        evaluation_fraction=trainer.convergence.fraction,
         discoveries=trainer.discoveries.first,
         stopped_by=stop,
         seconds=time.monotonic() - started,
-        figures=figures,
+        metrics=metrics,
     )
 
 
@@ -222,12 +222,12 @@ def _stop_reason(config: TrainConfig, trainer: Trainer, seconds: float) -> str |
     return None
 
 
-def _headline(figures: dict[str, float]) -> str:
-    shown = [f"{int(figures['trajectories']):,} trajectories"]
-    if "covered_cells" in figures:
-        shown.append(f"covered {figures['covered_cells']:.0%}")
-    if "entropy" in figures:
-        shown.append(f"entropy {figures['entropy']:.1f}")
-    shown.append(f"rewarded {figures['rewarded_share']:.0%}")
-    shown.append(f"converged {figures['evaluation_share']:.0%}")
+def _headline(metrics: dict[str, float]) -> str:
+    shown = [f"{int(metrics['trajectories']):,} trajectories"]
+    if "covered_cells" in metrics:
+        shown.append(f"covered {metrics['covered_cells']:.0%}")
+    if "entropy" in metrics:
+        shown.append(f"entropy {metrics['entropy']:.1f}")
+    shown.append(f"rewarded {metrics['rewarded_fraction']:.0%}")
+    shown.append(f"converged {metrics['evaluation_fraction']:.0%}")
     return "  ".join(shown)

@@ -15,10 +15,10 @@ from skewmi.policy_io import Array
 from skewmi.train.blocks import read_blocks
 from skewmi.train.checkpoint import Checkpoint
 from skewmi.train.config import TrainConfig
-from skewmi.train.density import RunningMoments, Scale, running_scale, unit_scale
+from skewmi.train.density import RunningMeanStd, Scale, running_scale, unit_scale
 from skewmi.train.exploration.skew_explore import RewardTerms, propose
-from skewmi.train.inputs import InputMap
-from skewmi.train.metrics import Measurement
+from skewmi.train.inputs import InputNormalizer
+from skewmi.train.metrics import CoverageMetrics
 from skewmi.train.milestones import Convergence, Discoveries
 from skewmi.train.replay import Episodes, Index, Replay
 from skewmi.train.rollout import GoalSource, collect
@@ -27,8 +27,8 @@ from skewmi.train.sac.sac import Sac
 
 _BATCHES_PER_DRAW = 32
 """Batches drawn and relabelled at once: numpy's overhead per call is that of one batch."""
-_COMMANDED_STATES = 512
-"""Rewarded states kept to be commanded."""
+_REWARDED_STATES = 512
+"""Rewarded states kept to be goals."""
 
 
 class Trainer:
@@ -37,15 +37,18 @@ class Trainer:
     def __init__(self, config: TrainConfig, env: BatchEnv) -> None:
         layout = env.layout
         self.config, self.env, self.layout = config, env, layout
-        self.inputs = InputMap(layout, config.sac.normalise_input)
+        self.inputs = InputNormalizer(layout, config.sac.normalize_input)
         self.sac = Sac(config.sac, self.inputs.dim, layout.action_dim, config.seed, config.device)
         self.replay = Replay(layout, config.replay.capacity_steps)
         self.generator = np.random.default_rng([config.seed, 1])
-        self.moments = RunningMoments(layout.state_dim)
-        self.measurement = Measurement(layout, config.measure)
-        self.discoveries = Discoveries(layout, config.measure.events)
-        share, tolerance = config.measure.convergence_share, config.measure.convergence_tolerance
-        self.convergence = Convergence(share, tolerance)
+        self.running = RunningMeanStd(layout.state_dim)
+        self.coverage = CoverageMetrics(layout, config.metrics)
+        self.discoveries = Discoveries(layout, config.metrics.events)
+        fraction, tolerance = (
+            config.metrics.convergence_fraction,
+            config.metrics.convergence_tolerance,
+        )
+        self.convergence = Convergence(fraction, tolerance)
         self.scale: Scale = unit_scale(layout, config.skew.field_weights)
         self.steps = self.iteration = self.rewarded_episodes = 0
         self.next_refresh, self.next_measure = config.skew.first_refresh_steps, 0
@@ -54,13 +57,13 @@ class Trainer:
         self.converged_at: int | None = None
         low, high = layout.observation_low, layout.observation_high
         d = layout.state_dim
-        # Before anything is known, reference points are uniform over the nominal ranges.
+        # Before anything is known, goals are uniform over the nominal ranges.
         self.proposals: Array = self.generator.uniform(low[:d], high[:d], (config.skew.goals, d))
         self.rare_episodes: Index = np.zeros(0, dtype=np.int64)
         self.rewarded_states: Array = np.zeros((0, d))
-        self.command: Array = self.proposals[0]
+        self.evaluation_goal: Array = self.proposals[0]
         first = env.reset(seed=config.seed)
-        self.measurement.set_reachable(env, first[0, :d])
+        self.coverage.set_reachable(env, first[0, :d])
 
     @property
     def episodes(self) -> int:
@@ -82,14 +85,14 @@ class Trainer:
         if self.steps >= self.next_refresh:
             self._refresh()
             self.next_refresh = self.steps + self.config.skew.refresh_steps
-        figures = self._figures(episodes)
+        metrics = self._metrics(episodes)
         if self.steps >= self.next_measure:
-            figures |= self.measurement.entropy(self.replay, self.generator)
-            self.next_measure = self.steps + self.config.measure.every_steps
+            metrics |= self.coverage.entropy(self.replay, self.generator)
+            self.next_measure = self.steps + self.config.metrics.every_steps
         measured = time.perf_counter()
-        figures |= self._update(episodes.rewards.size)
+        metrics |= self._update(episodes.rewards.size)
         self.iteration += 1
-        figures |= {
+        metrics |= {
             "step": float(self.steps),
             "trajectories": float(self.episodes),
             "updates": float(self.sac.updates),
@@ -97,12 +100,15 @@ class Trainer:
             "seconds_goals": measured - collected,
             "seconds_update": time.perf_counter() - measured,
         }
-        return figures, new
+        return metrics, new
 
     def _collect(self) -> tuple[Episodes, list[str]]:
         c = self.config
-        share = min(c.rollout.command_max, c.rollout.command_per_success * self.rewarded_episodes)
-        source = GoalSource(self.proposals, self.rewarded_states, self.command, share)
+        probability = min(
+            c.rollout.rewarded_goal_max,
+            c.rollout.rewarded_goal_per_success * self.rewarded_episodes,
+        )
+        source = GoalSource(self.proposals, self.rewarded_states, self.evaluation_goal, probability)
         episodes = collect(
             self.env,
             self.sac,
@@ -115,12 +121,12 @@ class Trainer:
         reached = episodes.observations[:, 1:]
         states = reached[..., : self.layout.state_dim]
         flat = states.reshape(-1, self.layout.state_dim)
-        self.moments.update(flat)
+        self.running.update(flat)
         if self.iteration == 0:
             self._rescale()  # the first trajectories need units too
         new = self.discoveries.add(reached, episodes.rewards, self.episodes, self.steps)
         self.replay.add(episodes, self.terms.log_p_tau(states))
-        self.measurement.add(flat)
+        self.coverage.add(flat)
         self.steps += episodes.rewards.size
         self.rewarded_episodes += int((episodes.rewards > 0.0).any(1).sum())
         counted = c.rollout.evaluation_envs or len(episodes.rewards)
@@ -132,36 +138,36 @@ class Trainer:
     def _rescale(self) -> None:
         c = self.config.skew
         if c.running_scale:
-            self.scale = running_scale(self.layout, self.moments, c.scale_floor, c.field_weights)
+            self.scale = running_scale(self.layout, self.running, c.scale_floor, c.field_weights)
 
     def _refresh(self) -> None:
-        """New density units, proposals and command."""
+        """New density units, proposals and evaluation goal."""
         self._rescale()
         self.proposals, self.rare_episodes = propose(
             self.replay, self.scale, self.config.skew, self.generator
         )
-        self.rewarded_states = self.replay.rewarded_states(_COMMANDED_STATES, self.generator)
+        self.rewarded_states = self.replay.rewarded_states(_REWARDED_STATES, self.generator)
         if len(self.rewarded_states):
             x = self.scale(self.rewarded_states, weighted=False)
             distance = np.linalg.norm(x[:, None] - x[None], axis=-1).sum(1)
-            self.command = self.rewarded_states[int(np.argmin(distance))]
+            self.evaluation_goal = self.rewarded_states[int(np.argmin(distance))]
         else:
-            self.command = self.proposals[-1]
+            self.evaluation_goal = self.proposals[-1]
 
-    def _figures(self, episodes: Episodes) -> dict[str, float]:
+    def _metrics(self, episodes: Episodes) -> dict[str, float]:
         rewards = episodes.rewards
         counted = self.config.rollout.evaluation_envs or len(rewards)
         return {
             "return": float(rewards.sum(1).mean()),
-            "rewarded_share": float((rewards > 0.0).any(1).mean()),
+            "rewarded_fraction": float((rewards > 0.0).any(1).mean()),
             "evaluation_return": float(rewards[:counted].sum(1).mean()),
-            "evaluation_share": self.convergence.share,
+            "evaluation_fraction": self.convergence.fraction,
             "rewarded_episodes": float(self.rewarded_episodes),
-            **self.measurement.coverage(),
+            **self.coverage.coverage(),
         }
 
     def _update(self, steps: int) -> dict[str, float]:
-        """Gradient updates owed for `steps` environment steps; means of their figures."""
+        """Gradient updates owed for `steps` environment steps; means of their metrics."""
         c = self.config
         if self.steps < min(c.rollout.random_steps, c.total_steps):
             return {}
@@ -176,17 +182,17 @@ class Trainer:
             drawn = self.replay.draw(
                 size * batches,
                 c.sac.n_step,
-                c.replay.rewarded_share,
+                c.replay.rewarded_fraction,
                 self.generator,
                 rare=self.rare_episodes,
-                rare_share=c.replay.rare_share,
+                rare_fraction=c.replay.rare_fraction,
             )
             goals = relabel(
                 drawn,
                 self.replay,
                 self.proposals,
-                c.replay.future_share,
-                c.replay.proposal_share,
+                c.replay.future_fraction,
+                c.replay.proposal_fraction,
                 self.generator,
             )
             batch = make_batch(drawn, goals, terms, self.inputs, c, self.sac.device)
@@ -212,7 +218,7 @@ class Trainer:
             "scale_offset": self.scale.offset,
             "scale_unit": self.scale.unit,
             "scale_weight": self.scale.weight,
-            **{f"measurement_{k}": v for k, v in self.measurement.state().items()},
+            **{f"coverage_{k}": v for k, v in self.coverage.state().items()},
         }
         own = {f"trainer.{k}": torch.from_numpy(np.array(v)) for k, v in arrays.items()}
         return {**self.sac.state_tensors(), **own}
@@ -230,12 +236,12 @@ class Trainer:
             "update_debt": self.update_debt,
             "best_score": self.best_score,
             "converged_at": self.converged_at,
-            "command_goal": self.command.tolist(),
-            "evaluation_share": self.convergence.share,
-            "evaluation_shares": list(self.convergence.shares),
+            "evaluation_goal": self.evaluation_goal.tolist(),
+            "evaluation_fraction": self.convergence.fraction,
+            "evaluation_fractions": list(self.convergence.fractions),
             "evaluation_returns": list(self.convergence.returns),
             "discoveries": self.discoveries.first,
-            "moments": self.moments.state(),
+            "running": self.running.state(),
             "numpy_random": self.generator.bit_generator.state,
             "env_random": self.env.random_state(),
             "layout_hash": self.layout.hash(),
@@ -249,8 +255,8 @@ class Trainer:
         """
         self.load(checkpoint, environment=False)
         self.converged_at, self.best_score = None, (0.0, 0.0)
-        measure = self.config.measure
-        self.convergence = Convergence(measure.convergence_share, measure.convergence_tolerance)
+        metrics = self.config.metrics
+        self.convergence = Convergence(metrics.convergence_fraction, metrics.convergence_tolerance)
 
     def load(self, checkpoint: Checkpoint, *, environment: bool = True) -> None:
         """Continue exactly where `checkpoint` was written.
@@ -275,17 +281,17 @@ class Trainer:
             self.proposals, self.rewarded_states = own["proposals"], own["rewarded_states"]
             self.rare_episodes = own["rare_episodes"]
             self.scale = Scale(own["scale_offset"], own["scale_unit"], own["scale_weight"])
-            self.measurement.load({k: own[f"measurement_{k}"] for k in self.measurement.state()})
+            self.coverage.load({k: own[f"coverage_{k}"] for k in self.coverage.state()})
             self.steps, self.iteration = s["step"], s["iteration"]
             self.rewarded_episodes = s["rewarded_episodes"]
             self.next_refresh, self.next_measure = s["next_refresh"], s["next_measure"]
             self.update_debt, self.converged_at = s["update_debt"], s["converged_at"]
             self.best_score = (s["best_score"][0], s["best_score"][1])
-            self.command = np.asarray(s["command_goal"], dtype=np.float64)
-            self.convergence.shares.extend(s["evaluation_shares"])
+            self.evaluation_goal = np.asarray(s["evaluation_goal"], dtype=np.float64)
+            self.convergence.fractions.extend(s["evaluation_fractions"])
             self.convergence.returns.extend(s["evaluation_returns"])
             self.discoveries.first = s["discoveries"]
-            self.moments.load(s["moments"])
+            self.running.load(s["running"])
             self.generator.bit_generator.state = s["numpy_random"]
             if environment:
                 self.env.set_random_state(s["env_random"])

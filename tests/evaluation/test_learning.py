@@ -48,7 +48,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 
 def with_curve(record: RunRecord, curve: dict[int, float]) -> RunRecord:
-    table = {"trajectories": [float(x) for x in curve], "evaluation_share": list(curve.values())}
+    table = {"trajectories": [float(x) for x in curve], "evaluation_fraction": list(curve.values())}
     return replace(record, table=table)
 
 

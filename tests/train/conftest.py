@@ -14,7 +14,7 @@ from skewmi.train.config import (
     Condition,
     Event,
     GridAxis,
-    MeasureConfig,
+    MetricsConfig,
     ReplayConfig,
     RolloutConfig,
     SacConfig,
@@ -115,7 +115,7 @@ def corridor_config() -> TrainConfig:
             field_weights=(("y", 1.5),),
         ),
         rollout=RolloutConfig(num_envs=5, random_steps=200, evaluation_envs=1),
-        measure=MeasureConfig(
+        metrics=MetricsConfig(
             grid=(GridAxis("x", 0.0, 4.0, 10), GridAxis("y", 0.0, 4.0, 10)),
             entropy_bandwidth=0.2,
             entropy_points=300,

@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 from scipy.stats import gaussian_kde, multivariate_normal
 
 from skewmi.train.density import (
-    RunningMoments,
+    RunningMeanStd,
     gaussian_log_density,
     kernel_log_density,
     trajectory_log_density,
 )
 from skewmi.train.exploration.skew_explore import skew_weights
-from skewmi.train.metrics import Measurement, published_coverage, published_entropy
+from skewmi.train.metrics import CoverageMetrics, published_coverage, published_entropy
 
 
 def brute_force(query: np.ndarray, points: np.ndarray, h: float) -> np.ndarray:
@@ -108,12 +108,12 @@ def test_trajectory_density_looks_only_back() -> None:
 def test_running_moments_are_those_of_everything(parts: list[int], seed: int) -> None:
     rng = np.random.default_rng(seed)
     chunks = [rng.normal(3.0, 2.0, size=(n, 2)) for n in parts]
-    moments = RunningMoments(2)
+    running = RunningMeanStd(2)
     for chunk in chunks:
-        moments.update(chunk)
+        running.update(chunk)
     whole = np.concatenate(chunks)
-    np.testing.assert_allclose(moments.mean, whole.mean(0), atol=1e-9)
-    np.testing.assert_allclose(moments.variance, whole.var(0), atol=1e-9)
+    np.testing.assert_allclose(running.mean, whole.mean(0), atol=1e-9)
+    np.testing.assert_allclose(running.variance, whole.var(0), atol=1e-9)
 
 
 def test_weights_turn_one_density_into_its_power() -> None:
@@ -137,9 +137,9 @@ def test_published_coverage() -> None:
     assert published_coverage(np.array([0.1]), 0.1) == pytest.approx(np.exp(-0.5))
 
 
-def test_measurement_of_a_full_and_an_empty_space(make_corridor, corridor_config) -> None:
+def test_coverage_of_a_full_and_an_empty_space(make_corridor, corridor_config) -> None:
     env = make_corridor()
-    measurement = Measurement(env.layout, corridor_config.measure)
+    measurement = CoverageMetrics(env.layout, corridor_config.metrics)
     measurement.set_reachable(env, env.reset()[0, :2])
     assert measurement.coverage()["covered_cells"] == 0.0
     x, y = np.meshgrid(np.linspace(0, 4, 81), np.linspace(0, 4, 81))

@@ -16,7 +16,7 @@ from skewmi.train.blocks import LARGEST, read_blocks, split, write_blocks
 from skewmi.train.config import SkewConfig, TrainConfig
 from skewmi.train.density import Scale, unit_scale
 from skewmi.train.exploration.skew_explore import RewardTerms, propose
-from skewmi.train.inputs import InputMap
+from skewmi.train.inputs import InputNormalizer
 from skewmi.train.replay import Episodes, Replay
 from skewmi.train.sac.hindsight import make_batch, n_step_return, relabel
 
@@ -86,7 +86,9 @@ def test_relabelled_batch_is_brute_force(filled, layout, bootstrap: bool) -> Non
     rng = np.random.default_rng(2)
     drawn = replay.draw(200, 3, 0.0, rng)
     goals = rng.uniform(0, 4, size=(200, 2))
-    batch = make_batch(drawn, goals, terms, InputMap(layout, True), config, torch.device("cpu"))
+    batch = make_batch(
+        drawn, goals, terms, InputNormalizer(layout, True), config, torch.device("cpu")
+    )
     c, gamma = config.skew, config.sac.discount
     normal = multivariate_normal(np.zeros(2), c.sigma**2 * np.eye(2))
     steps = layout.episode_steps
@@ -235,11 +237,11 @@ def test_a_share_of_a_batch_comes_from_the_episodes_of_the_proposals(layout) -> 
     config = SkewConfig(history_bandwidth=0.2, goals=500, running_scale=False)
     goals, slots = propose(replay, unit_scale(layout), config, rng)
     np.testing.assert_array_equal(slots >= 95, goals[:, 0] > 2.0)
-    drawn = replay.draw(8000, 1, 0.25, rng, rare=slots, rare_share=0.25).episode
+    drawn = replay.draw(8000, 1, 0.25, rng, rare=slots, rare_fraction=0.25).episode
     # The rest is uniform over 100 episodes.
     assert (drawn >= 95).mean() == pytest.approx(0.25 + 0.5 * 0.05, abs=0.03)
     assert (drawn == 3).mean() == pytest.approx(0.25 + 0.5 * 0.01, abs=0.03)
-    drawn = replay.draw(8000, 1, 0.0, rng, rare=slots[:0], rare_share=0.25).episode
+    drawn = replay.draw(8000, 1, 0.0, rng, rare=slots[:0], rare_fraction=0.25).episode
     assert (drawn >= 95).mean() == pytest.approx(0.05, abs=0.02)
 
 

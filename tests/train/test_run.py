@@ -20,7 +20,7 @@ from skewmi.policy_io import Ball
 from skewmi.train import checkpoint as checkpoints
 from skewmi.train.checkpoint import load_policy, read_checkpoint, read_run_header
 from skewmi.train.config import Condition, Event, TrainConfig
-from skewmi.train.inputs import InputMap
+from skewmi.train.inputs import InputNormalizer
 from skewmi.train.log import read_metrics
 from skewmi.train.milestones import Convergence, Discoveries
 from skewmi.train.presets import PRESETS, preset
@@ -158,14 +158,14 @@ def test_policy_of_a_run(tmp_path, make_corridor, corridor_config) -> None:
     policy = load_policy(tmp_path)
     assert policy.layout == env.layout
     state = read_checkpoint(tmp_path)
-    np.testing.assert_array_equal(policy.goal, state.state["command_goal"])
+    np.testing.assert_array_equal(policy.goal, state.state["evaluation_goal"])
     observation = np.random.default_rng(0).uniform(0, 4, size=(3, 7, 3))
     action = policy.act(observation)
     assert action.shape == (3, 7, 2)
     assert np.abs(action).max() <= 1.0
     np.testing.assert_allclose(policy.act(observation[1, 2]), action[1, 2], atol=1e-6)
     # The very action that training's evaluation episodes take.
-    inputs = InputMap(env.layout, True)
+    inputs = InputNormalizer(env.layout, True)
     sac = Sac(corridor_config.sac, inputs.dim, 2, seed=0)
     sac.load_state_tensors({k: v for k, v in state.tensors.items() if not k.startswith("trainer.")})
     flat = observation.reshape(-1, 3)
@@ -236,16 +236,16 @@ def test_convergence_is_the_published_criterion() -> None:
         convergence.add(good)
         assert not convergence.converged  # fewer than ten trajectories
     convergence.add(bad)
-    assert convergence.share == pytest.approx(0.98)
+    assert convergence.fraction == pytest.approx(0.98)
     for _ in range(6):
         convergence.add(bad)
-    assert convergence.share == pytest.approx(0.86)
+    assert convergence.fraction == pytest.approx(0.86)
     assert not convergence.converged
 
 
 def test_first_times_are_the_first(make_corridor, corridor_config) -> None:
     layout = make_corridor().layout
-    found = Discoveries(layout, corridor_config.measure.events)
+    found = Discoveries(layout, corridor_config.metrics.events)
     observations, rewards = np.zeros((4, 40, 3)), np.zeros((4, 40))
     assert found.add(observations, rewards, 0, 0) == []
     observations[1, 30:, 0] = 3.0
@@ -269,14 +269,14 @@ def test_best_checkpoint_is_the_best_evaluated(tmp_path, make_corridor, corridor
     everywhere = replace(env.layout, reward_region=(Ball(("x",), (2.0,), 2.0),))
     env.layout = everywhere
     result = run_train(corridor_config, env, tmp_path, progress=False)
-    assert result.evaluation_share == 1.0
+    assert result.evaluation_fraction == 1.0
     # One evaluated trajectory per iteration of five.
     assert result.converged_at is None  # six iterations, the criterion wants ten
     best, latest = read_checkpoint(tmp_path, "best"), read_checkpoint(tmp_path)
     assert best.path.name.startswith("best-")
     assert best.state["best_score"] == [1.0, 40.0]
     assert best.state["step"] <= latest.state["step"]
-    assert load_policy(tmp_path, "best").metadata["evaluation_share"] == 1.0
+    assert load_policy(tmp_path, "best").metadata["evaluation_fraction"] == 1.0
     longer = replace(corridor_config, total_steps=4000, stop_on_convergence=True)
     result = run_train(longer, env, tmp_path, resume=True, progress=False)
     assert result.stopped_by == "convergence"
@@ -289,10 +289,10 @@ def test_goals_switch_at_the_asked_rate() -> None:
     source = GoalSource(proposals, np.full((5, 2), 7.0), np.array([9.0, 9.0]), 0.3)
     goals = plan_goals(source, 400, 200, 2, 0.05, rng)
     assert (goals[:2] == 9.0).all()
-    commanded = (goals[2:, 0] == 7.0).all(1)
-    assert commanded.mean() == pytest.approx(0.3, abs=0.07)
-    assert (goals[2:][commanded] == 7.0).all()
-    free = goals[2:][~commanded]
+    from_rewarded = (goals[2:, 0] == 7.0).all(1)
+    assert from_rewarded.mean() == pytest.approx(0.3, abs=0.07)
+    assert (goals[2:][from_rewarded] == 7.0).all()
+    free = goals[2:][~from_rewarded]
     changes = (free[:, 1:] != free[:, :-1]).any(-1).mean()
     assert changes == pytest.approx(0.05 * 0.99, abs=0.005)
 
@@ -323,9 +323,9 @@ def test_skewed_goals_cover_more(tmp_path, make_corridor, corridor_config) -> No
         rollout=replace(
             corridor_config.rollout,
             num_envs=10,
-            noise_share=0.0,
+            noise_probability=0.0,
             switch_probability=0.0,
-            command_max=0.0,
+            rewarded_goal_max=0.0,
             evaluation_envs=0,
         ),
         replay=replace(corridor_config.replay, capacity_steps=100_000),
@@ -337,6 +337,6 @@ def test_skewed_goals_cover_more(tmp_path, make_corridor, corridor_config) -> No
             config = replace(base, seed=seed, skew=replace(base.skew, weight_exponent=exponent))
             run_dir = tmp_path / f"{exponent}_{seed}"
             result = run_train(config, make_corridor(10), run_dir, progress=False)
-            shares.append(result.figures["covered_cells"])
+            shares.append(result.metrics["covered_cells"])
         covered[exponent] = np.mean(shares)
     assert covered[-2.5] > covered[0.0] + 0.05, covered

@@ -1,6 +1,6 @@
 """Skew-Explore: where to go next, and what being there is worth.
 
-Reference points z are drawn from a density of visited states skewed towards rare ones
+Goals z are drawn from a density of visited states skewed towards rare ones
 (Skew-Fit, arXiv:1903.03698); the policy is paid, at every state s of a trajectory tau,
 
     r = w_int (log p_z(s) - log p_tau(s)) + w_ext r_ext(s),     p_z = N(z, sigma^2 I),
@@ -43,14 +43,14 @@ def skew_weights(log_density: Array, exponent: float) -> Array:
     """
     logits = exponent * log_density
     weights = np.exp(logits - logits.max())
-    normalised: Array = weights / weights.sum()
-    return normalised
+    normalized: Array = weights / weights.sum()
+    return normalized
 
 
 def propose(
     replay: Replay, scale: Scale, config: SkewConfig, generator: np.random.Generator
 ) -> tuple[Array, Index]:
-    """Draw reference points from the skewed density of everything visited.
+    """Draw goals from the skewed density of everything visited.
 
     Args:
         replay: Holds what was visited.
@@ -59,7 +59,7 @@ def propose(
         generator: Of the random choices.
 
     Returns:
-        Reference points in the task's units, shape (goals, state_dim), and the replay's slots of
+        Goals in the task's units, shape (goals, state_dim), and the replay's slots of
         the episodes they were met in, shape (goals,); no slots if they are samples of a density.
     """
     visited, _ = replay.random_states(config.history_points, generator)
@@ -84,7 +84,7 @@ def propose(
 
 @dataclass(frozen=True)
 class RewardTerms:
-    """Everything that turns a state, a reference point and log p_tau into a reward."""
+    """Everything that turns a state, a goal and log p_tau into a reward."""
 
     config: SkewConfig
     scale: Scale
@@ -121,7 +121,7 @@ class RewardTerms:
 
         Args:
             states: Reached states. Shape (..., d).
-            goals: Reference points, broadcasting with states.
+            goals: Goals, broadcasting with states.
             log_tau: log p_tau, clipped already. Shape (...).
             extrinsic: The task's reward. Shape (...).
         """

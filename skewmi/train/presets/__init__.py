@@ -12,7 +12,7 @@ from skewmi.train.config import (
     Condition,
     Event,
     GridAxis,
-    MeasureConfig,
+    MetricsConfig,
     ReplayConfig,
     RolloutConfig,
     SacConfig,
@@ -26,7 +26,7 @@ PRESETS = ("paper", "improved")
 _PAPER_SAC = SacConfig(
     hidden=(32, 64, 128, 64, 32),
     layer_norm=False,
-    normalise_input=False,
+    normalize_input=False,
     learning_rate=1e-3,
     discount=0.98,
     batch_size=1024,
@@ -39,10 +39,10 @@ _PAPER_SAC = SacConfig(
 # proposals.
 _PAPER_REPLAY = ReplayConfig(
     capacity_steps=1_000_000,
-    future_share=10 / 15,
-    proposal_share=4 / 15,
-    rewarded_share=0.0,
-    rare_share=0.0,
+    future_fraction=10 / 15,
+    proposal_fraction=4 / 15,
+    rewarded_fraction=0.0,
+    rare_fraction=0.0,
 )
 _PAPER_SKEW = SkewConfig(
     intrinsic=0.005,
@@ -61,13 +61,13 @@ _PAPER_ROLLOUT = RolloutConfig(
     num_envs=1,
     random_steps=200,
     switch_probability=0.0,
-    noise_share=0.0,
-    command_max=0.0,
+    noise_probability=0.0,
+    rewarded_goal_max=0.0,
     evaluation_envs=0,
 )
 
 # ---- point maze ------------------------------------------------------------------------------
-_MAZE_MEASURE = MeasureConfig(
+_MAZE_METRICS = MetricsConfig(
     grid=(GridAxis("x", -12.0, 4.0, 50), GridAxis("y", -6.0, 6.0, 50)),
     every_steps=5_000,
     events=(
@@ -92,7 +92,7 @@ _MAZE_PAPER = TrainConfig(
         running_scale=False,
     ),
     rollout=_PAPER_ROLLOUT,
-    measure=_MAZE_MEASURE,
+    metrics=_MAZE_METRICS,
 )
 _MAZE_IMPROVED = TrainConfig(
     task="point_maze",
@@ -100,7 +100,7 @@ _MAZE_IMPROVED = TrainConfig(
     task_options=(("time_input", True),),
     total_steps=500_000,
     sac=SacConfig(updates_per_step=0.14),
-    replay=ReplayConfig(rare_share=0.0),  # not tried here
+    replay=ReplayConfig(rare_fraction=0.0),  # not tried here
     skew=SkewConfig(
         intrinsic=0.01,
         sigma=2.0,
@@ -111,13 +111,13 @@ _MAZE_IMPROVED = TrainConfig(
         history_bandwidth=0.3,
         weight_exponent=-2.5,
     ),
-    measure=_MAZE_MEASURE,
+    metrics=_MAZE_METRICS,
 )
 
 # ---- open, press, close ----------------------------------------------------------------------
 _LID, _BUTTON = "lid_angle", "button_depth"
-_PRESS_MEASURE = MeasureConfig(
-    # The code's grid for this task has one point per hand and gripper axis; its figures are
+_PRESS_METRICS = MetricsConfig(
+    # The code's grid for this task has one point per hand and gripper axis; its metrics are
     # about lid and button.
     grid=(GridAxis(_LID, 0.0, 2.5, 10), GridAxis(_BUTTON, 0.0, 0.03, 5)),
     unit_range=True,
@@ -141,7 +141,7 @@ _PRESS_PAPER = TrainConfig(
     replay=replace(_PAPER_REPLAY, capacity_steps=5_000_000),
     skew=replace(_PAPER_SKEW, trajectory_bandwidth=0.2, history_bandwidth=0.11),
     rollout=_PAPER_ROLLOUT,
-    measure=_PRESS_MEASURE,
+    metrics=_PRESS_METRICS,
 )
 _PRESS_IMPROVED = TrainConfig(
     task="open_press_close",
@@ -153,7 +153,7 @@ _PRESS_IMPROVED = TrainConfig(
     # not commanded: where contact bends them is not worth a goal.
     skew=SkewConfig(field_weights=((_LID, 2.5), (_BUTTON, 1.0), ("gripper", 0.1), ("hand_x", 0.3))),
     rollout=RolloutConfig(),
-    measure=_PRESS_MEASURE,
+    metrics=_PRESS_METRICS,
 )
 
 _ALL = {(c.task, c.preset): c for c in (_MAZE_PAPER, _MAZE_IMPROVED, _PRESS_PAPER, _PRESS_IMPROVED)}

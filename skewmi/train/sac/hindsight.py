@@ -1,4 +1,4 @@
-"""From drawn transitions to a batch: reference points relabelled, rewards recomputed."""
+"""From drawn transitions to a batch: goals relabelled, rewards recomputed."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import torch
 from skewmi.policy_io import Array
 from skewmi.train.config import TrainConfig
 from skewmi.train.exploration.skew_explore import RewardTerms
-from skewmi.train.inputs import InputMap
+from skewmi.train.inputs import InputNormalizer
 from skewmi.train.replay import Index, Replay, Transitions
 from skewmi.train.sac.sac import Batch
 
@@ -17,21 +17,21 @@ def relabel(
     drawn: Transitions,
     replay: Replay,
     proposals: Array,
-    future_share: float,
-    proposal_share: float,
+    future_fraction: float,
+    proposal_fraction: float,
     generator: np.random.Generator,
 ) -> Array:
-    """Reference points of drawn transitions.
+    """Goals of drawn transitions.
 
-    A share gets a state reached later in its episode ("future", arXiv:1707.01495), a share one
-    of the present proposals, and the rest keeps the one it was collected with.
+    A fraction gets a state reached later in its episode ("future", arXiv:1707.01495), a fraction
+    one of the present proposals, and the rest keeps the one it was collected with.
 
     Args:
         drawn: Transitions.
         replay: Where they came from.
-        proposals: Present reference points. Shape (k, state_dim).
-        future_share: Probability of the first kind.
-        proposal_share: Probability of the second kind.
+        proposals: Present goals. Shape (k, state_dim).
+        future_fraction: Probability of the first kind.
+        proposal_fraction: Probability of the second kind.
         generator: Of the random choices.
 
     Returns:
@@ -42,9 +42,9 @@ def relabel(
     future = replay.future_states(drawn.episode, drawn.step, generator)
     proposed = proposals[generator.integers(len(proposals), size=n)]
     goals: Array = np.where(
-        kind < future_share,
+        kind < future_fraction,
         future,
-        np.where(kind < future_share + proposal_share, proposed, drawn.goal),
+        np.where(kind < future_fraction + proposal_fraction, proposed, drawn.goal),
     )
     return goals
 
@@ -69,11 +69,11 @@ def make_batch(
     drawn: Transitions,
     goals: Array,
     terms: RewardTerms,
-    inputs: InputMap,
+    inputs: InputNormalizer,
     config: TrainConfig,
     device: torch.device,
 ) -> Batch:
-    """Rewards of all steps with the new reference points, summed, as tensors."""
+    """Rewards of all steps with the new goals, summed, as tensors."""
     sac = config.sac
     rewards = terms.reward(drawn.states, goals[:, None, :], drawn.log_tau, drawn.rewards)
     returns = n_step_return(rewards, drawn.length, sac.discount)

@@ -25,7 +25,7 @@ class Batch:
     """Transitions ready for an update; float32 on the learner's device.
 
     Attributes:
-        inputs: Network inputs (observation and reference point). Shape (n, input_dim).
+        inputs: Network inputs (observation and goal). Shape (n, input_dim).
         actions: In [-1, 1]. Shape (n, action_dim).
         returns: Discounted reward of up to n_step steps. Shape (n,).
         next_inputs: Inputs after those steps. Shape (n, input_dim).
