@@ -19,7 +19,7 @@ import statistics
 import sys
 import tempfile
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -40,8 +40,9 @@ from skewmi.evaluation.contact import recorder_for, summarise_contact
 from skewmi.evaluation.learning import RunRecord, draw_learning, read_record
 from skewmi.evaluation.rollout import run_episodes, summarise
 from skewmi.sim import tasks
-from skewmi.train.checkpoint import load_policy
 from skewmi.train.config import TrainConfig
+from skewmi.train.config_json import to_document
+from skewmi.train.policy import load_policy
 from skewmi.train.presets import preset
 from skewmi.train.run import run_train
 
@@ -100,7 +101,7 @@ def require_one_experiment(records: Sequence[RunRecord]) -> None:
     for record in records:
         if record.config.task != TASK:
             raise ConfigurationError(f"{record.run_dir} is a run of {record.config.task}")
-        ours, theirs = (asdict(comparable(r.config)) for r in (record, first))
+        ours, theirs = (to_document(comparable(r.config)) for r in (record, first))
         differing = [name for name in ours if ours[name] != theirs[name]]
         if differing or record.layout.hash() != first.layout.hash():
             raise ConfigurationError(
@@ -221,7 +222,7 @@ def aggregate(folders: Sequence[Path], options: argparse.Namespace) -> dict[str,
     planes = tasks.find(TASK).planes
     draw_learning(records, options.out.with_suffix(".png"), dpi=80, planes=planes)
     config = {
-        **json.loads(comparable(records[0].config).to_json()),
+        **to_document(comparable(records[0].config)),
         "episodes": options.episodes,
         "varies_between_runs": sorted(PACE),
     }

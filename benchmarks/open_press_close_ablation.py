@@ -3,10 +3,10 @@
     python benchmarks/open_press_close_ablation.py --runs runs/* \\
         --base results/open_press_close.json
 
-Aggregates finished run directories of `skewmi train --task open_press_close --stop-on-convergence
---set ...` (or `--preset paper`), or, without --runs, trains every variant of `VARIANTS` one after
-the other (an hour or two on one core). What a run differs in is read from its configuration. Runs
-that found nothing stay in the document.
+Aggregates finished run directories of `skewmi train --task open_press_close
+--stop-on-convergence` with other numbers (or `--preset paper`), or, without --runs, trains every
+variant of `VARIANTS` one after the other (an hour or two on one core). What a run differs in is
+read from its configuration. Runs that found nothing stay in the document.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ import argparse
 import json
 import sys
 import tempfile
-from dataclasses import asdict
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,16 +24,19 @@ import torch
 from common import REPOSITORY, argument_parser, print_result, progress, write_result
 from open_press_close import PACE, TASK, comparable, describe, evaluate
 
-from skewmi.cli.train import TrainCommand, train
+from skewmi.cli.train import train
 from skewmi.errors import SkewmiError
 from skewmi.evaluation.learning import read_record
 from skewmi.train.config import TrainConfig
+from skewmi.train.config_json import to_document
 from skewmi.train.presets import preset
 
-VARIANTS: dict[str, tuple[str, ...]] = {
-    "no rare episodes": ("replay.rare_fraction=0",),
-    "1-step returns": ("sac.n_step=1",),
-    "gripper commanded": ("task_options.gripper_action=true",),
+VARIANTS: dict[str, Callable[[TrainConfig], TrainConfig]] = {
+    "no rare episodes": lambda c: replace(c, learner=replace(c.learner, rare_fraction=0.0)),
+    "1-step returns": lambda c: replace(c, learner=replace(c.learner, n_step=1)),
+    "gripper commanded": lambda c: replace(
+        c, task_options=(*c.task_options, ("gripper_action", True))
+    ),
 }
 KEPT = (
     "seed",
@@ -57,7 +61,7 @@ def differences(config: TrainConfig) -> dict[str, Any]:
         parts = (flat(v, f"{path}.{k}" if path else k) for k, v in value.items())
         return {name: leaf for part in parts for name, leaf in part.items()}
 
-    ours, base = asdict(comparable(config)), asdict(comparable(preset(TASK)))
+    ours, base = to_document(comparable(config)), to_document(comparable(preset(TASK)))
     ours["task_options"], base["task_options"] = (
         dict(content["task_options"]) for content in (ours, base)
     )
@@ -68,23 +72,14 @@ def differences(config: TrainConfig) -> dict[str, Any]:
 def train_variants(options: argparse.Namespace, root: Path) -> list[Path]:
     """Train every variant with every seed, one after the other; continues what is there."""
     folders = []
-    for name, settings in VARIANTS.items():
+    for name, change in VARIANTS.items():
         for seed in options.seeds:
             folder = root / f"{name.replace(' ', '-')}-{seed}"
             progress(f"{name}, seed {seed}: training in {folder}")
-            begun = (folder / "config.json").exists()
-            train(
-                TrainCommand(
-                    run_dir=folder,
-                    task=TASK,
-                    seed=seed,
-                    resume=True,
-                    steps=options.steps,
-                    stop_on_convergence=True,
-                    set=() if begun else settings,
-                    quiet=True,
-                )
+            config = replace(
+                change(preset(TASK)), seed=seed, total_steps=options.steps, stop_on_convergence=True
             )
+            train(config, folder, resume=True, progress=False)
             folders.append(folder)
     return folders
 

@@ -11,7 +11,7 @@ document. One thread; some two minutes on an idle core.
 from __future__ import annotations
 
 import tempfile
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from common import argument_parser, print_result, progress, write_result
 
 from skewmi.sim import tasks
 from skewmi.train.config import TrainConfig
+from skewmi.train.config_json import to_document
 from skewmi.train.history import visited_states
 from skewmi.train.log import read_metrics
 from skewmi.train.presets import preset
@@ -38,7 +39,7 @@ def random_policy(config: TrainConfig) -> TrainConfig:
         config,
         preset="random",
         rollout=replace(config.rollout, random_steps=config.total_steps + 1),
-        sac=replace(config.sac, updates_per_step=0.0),
+        learner=replace(config.learner, updates_per_step=0.0),
     )
 
 
@@ -109,7 +110,7 @@ def main() -> None:
         "skew_explore": runs["Skew-Explore"],
     }
     document = write_result(
-        "point_maze", data, options.out, seed=options.seed, config=asdict(config)
+        "point_maze", data, options.out, seed=options.seed, config=to_document(config)
     )
     print_result(document, as_json=options.json)
 

@@ -25,13 +25,11 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.logger import configure
 
 from skewmi.sim import tasks
-from skewmi.train.config import SacConfig, TrainConfig
-from skewmi.train.density import unit_scale
-from skewmi.train.exploration.skew_explore import RewardTerms
-from skewmi.train.inputs import InputNormalizer
+from skewmi.train.exploration.skew_explore import SkewExplore, SkewExploreConfig
 from skewmi.train.memory import keep_freed_memory
 from skewmi.train.replay import Episodes, Replay
-from skewmi.train.sac.hindsight import make_batch, relabel
+from skewmi.train.sac.config import SacConfig
+from skewmi.train.sac.learner import SacLearner
 from skewmi.train.sac.sac import Batch, Sac
 
 HIDDEN = (128, 128)
@@ -67,12 +65,12 @@ def make_ours(batch_size: int, layer_norm: bool, inputs: int) -> Callable[[int],
 def make_with_replay(batch_size: int) -> tuple[Callable[[int], None], int]:
     """Updates of the learner as it trains: drawn, relabelled, 3-step, LayerNorm critics."""
     layout = tasks.layout("open_press_close", time_input=True)
-    config = TrainConfig(sac=SacConfig(hidden=HIDDEN, batch_size=batch_size))
-    inputs = InputNormalizer(layout, True)
-    sac = Sac(config.sac, inputs.dim, layout.action_dim, 0)
     rng = np.random.default_rng(0)
+    exploration = SkewExplore(SkewExploreConfig(running_scale=False), layout, rng)
+    config = SacConfig(hidden=HIDDEN, batch_size=batch_size)
+    learner = SacLearner(config, layout, exploration.goal_dim, 0, "cpu")
     n, steps, d = 200, layout.episode_steps, layout.state_dim
-    replay = Replay(layout, n * steps)
+    history = Replay(layout, n * steps, d)
     shape = (n, steps + 1, layout.observation_dim)
     episodes = Episodes(
         rng.random(shape),
@@ -80,19 +78,16 @@ def make_with_replay(batch_size: int) -> tuple[Callable[[int], None], int]:
         rng.random((n, steps, d)),
         (rng.random((n, steps)) < 0.01).astype(float),
     )
-    replay.add(episodes, rng.normal(size=(n, steps)))
-    terms, goals = RewardTerms(config.skew, unit_scale(layout)), rng.random((100, d))
+    history.add(episodes, rng.normal(size=(n, steps)))
 
     def run(updates: int) -> None:
         for begin in range(0, updates, 32):
             count = min(32, updates - begin)
-            drawn = replay.draw(batch_size * count, 3, 0.25, rng)
-            chosen = relabel(drawn, replay, goals, 0.5, 0.3, rng)
-            batch = make_batch(drawn, chosen, terms, inputs, config, torch.device("cpu"))
+            batch = learner.draw(batch_size * count, history, exploration, rng)
             for k in range(count):
-                sac.update(batch.part(k * batch_size, (k + 1) * batch_size))
+                learner.sac.update(batch.part(k * batch_size, (k + 1) * batch_size))
 
-    return run, inputs.dim
+    return run, learner.inputs.dim
 
 
 def make_peer(batch_size: int, inputs: int) -> Callable[[int], None]:

@@ -73,11 +73,14 @@ def run_command(name: str, arguments: list[str]) -> int:
     run = getattr(module, f"run_{module_name}")
     arguments = [_present_name(argument) for argument in arguments]
     description = textwrap.dedent(module.__doc__ or "")
+    # Where the defaults of some options depend on others, the command's module says how.
+    defaults = getattr(module, "default_options", None)
     options = tyro.cli(
         options_type,
         prog=f"skewmi {name}",
         description=description,
         args=arguments,
+        default=defaults(arguments) if defaults else tyro.MISSING_NONPROP,
     )
     return int(run(options))
 

@@ -33,7 +33,7 @@ def load_run(run_dir: Path, which: Which) -> TorchPolicy:
         CheckpointError: The directory is not a run, or has no such checkpoint.
     """
     try:
-        from skewmi.train.checkpoint import load_policy
+        from skewmi.train.policy import load_policy
     except ModuleNotFoundError as error:
         raise NotFoundError(
             f"reading a run directory needs {error.name}: pip install 'skewmi[train]'"

@@ -110,7 +110,7 @@ def draw_coverage(
         chosen.sort()
         flat, episodes = flat[chosen], episodes[chosen]
     names = [field.name for field in layout.state_fields]
-    grid = [names.index(axis.field) for axis in config.metrics.grid[:2]]
+    grid = [names.index(axis.field) for axis in config.task_metrics.grid[:2]]
     panels = [grid if len(grid) == 2 else [0, 1]]
     if {"hand_y", "hand_z"} <= set(names):
         panels.append([names.index("hand_y"), names.index("hand_z")])

@@ -59,7 +59,7 @@ class RunRecord:
     def discoveries(self) -> dict[str, dict[str, int] | None]:
         """First trajectory and step of every event the run looked for, None if never met."""
         found = self.state["discoveries"]
-        names = (*(event.name for event in self.config.metrics.events), REWARD_EVENT)
+        names = (*(event.name for event in self.config.task_metrics.events), REWARD_EVENT)
         return {name: found.get(name) for name in names}
 
     @property

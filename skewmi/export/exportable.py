@@ -1,4 +1,4 @@
-"""What `export` asks of a policy; `train.checkpoint.TorchPolicy` is one."""
+"""What `export` asks of a policy; `train.policy.TorchPolicy` is one."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class ExportablePolicy(Protocol):
     """A trained, deterministic policy whose whole computation is one torch module.
 
     `module(observation)` takes float32 of shape (n, observation_dim) in raw units, and returns
-    actions in [-1, 1] of shape (n, action_dim): normaliser, reference point, squashing and scale
+    actions in [-1, 1] of shape (n, action_dim): normalizer, goal, squashing and scale
     are inside. A recurrent module is called as `module(observation, h, c)` with two states of
     shape (n, hidden size), and returns `(action, h_next, c_next)`; it says so with an attribute
     `state_sizes = (size of h, size of c)`.
@@ -29,7 +29,7 @@ class ExportablePolicy(Protocol):
 
     @property
     def metadata(self) -> Mapping[str, Any]:
-        """What the run knows about itself, JSON-serialisable: method, seed, figures, ..."""
+        """What the run knows about itself, JSON-serialisable: method, seed, metrics, ..."""
 
     def reset(self) -> None:
         """Forget the previous episode."""

@@ -12,25 +12,20 @@ import os
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
-from torch import Tensor
 
-from skewmi.errors import CheckpointError, LayoutMismatchError
+from skewmi.errors import CheckpointError, ConfigurationError, LayoutMismatchError
 from skewmi.policy_io import PolicyLayout
 from skewmi.train.blocks import write_blocks
 from skewmi.train.config import TrainConfig
+from skewmi.train.config_json import from_document, to_document
 from skewmi.train.files import sync, write_text
-from skewmi.train.inputs import InputNormalizer
-from skewmi.train.policy import TorchPolicy
 from skewmi.train.replay import Replay
-from skewmi.train.sac.networks import Actor
+from skewmi.train.state import State, merge, split
 
-FORMAT = 1
+FORMAT = 2
 KEPT = 2
 """Checkpoints kept; the one before the latest is there in case the disk loses the latest."""
 _BEST = "best-"
@@ -41,20 +36,27 @@ class Checkpoint:
     """A checkpoint as read."""
 
     path: Path
-    tensors: dict[str, Tensor]
-    state: dict[str, Any]
+    state: State
 
 
 def write_run_header(run_dir: Path, config: TrainConfig, layout: PolicyLayout) -> None:
-    """Save what a run is, before anything can change it."""
-    run_dir.mkdir(parents=True, exist_ok=True)
+    """Save what a run is, before anything can change it.
+
+    Raises:
+        ConfigurationError: A number is infinite or not a number, which JSON has no word for.
+    """
     content = {
         "format": FORMAT,
-        "config": json.loads(config.to_json()),
+        "config": to_document(config),
         "layout": json.loads(layout.to_json()),
         "layout_hash": layout.hash(),
     }
-    write_text(run_dir / "config.json", json.dumps(content, indent=1) + "\n")
+    try:
+        text = json.dumps(content, indent=1, allow_nan=False)
+    except ValueError as error:
+        raise ConfigurationError(f"the configuration has a number without end: {error}") from error
+    run_dir.mkdir(parents=True, exist_ok=True)
+    write_text(run_dir / "config.json", text + "\n")
 
 
 def read_run_header(run_dir: Path) -> tuple[TrainConfig, PolicyLayout]:
@@ -71,10 +73,12 @@ def read_run_header(run_dir: Path) -> tuple[TrainConfig, PolicyLayout]:
                 f"{path} has format {content['format']}, this skewmi reads {FORMAT}"
             )
         layout = PolicyLayout.from_json(json.dumps(content["layout"]))
-        config = TrainConfig.from_json(json.dumps(content["config"]))
+        config = from_document(content["config"])
     except FileNotFoundError as error:
         raise CheckpointError(f"{run_dir} is no run directory: it has no config.json") from error
-    except (OSError, ValueError, KeyError, TypeError, LayoutMismatchError) as error:
+    except (
+        OSError, ValueError, KeyError, TypeError, LayoutMismatchError, ConfigurationError,
+    ) as error:  # fmt: skip
         raise CheckpointError(f"{path} is damaged: {error}") from error
     if layout.hash() != content["layout_hash"]:
         raise CheckpointError(f"{path} is damaged: its layout does not have the recorded hash")
@@ -84,9 +88,8 @@ def read_run_header(run_dir: Path) -> tuple[TrainConfig, PolicyLayout]:
 def write_checkpoint(
     run_dir: Path,
     step: int,
-    tensors: dict[str, Tensor],
-    state: dict[str, Any],
-    replay: Replay | None,
+    state: State,
+    history: Replay | None,
     *,
     best: bool = False,
 ) -> Path:
@@ -95,9 +98,8 @@ def write_checkpoint(
     Args:
         run_dir: Of the run.
         step: Environment steps so far; names the checkpoint.
-        tensors: Weights, optimizer and random states.
-        state: JSON-serialisable rest.
-        replay: Episodes to keep; None for a checkpoint that is only to be used, not resumed.
+        state: Everything but the episodes: weights, optimizers, counters, random streams.
+        history: Episodes to keep; None for a checkpoint that is only to be used, not resumed.
         best: Whether this is the best policy so far instead of the latest state.
 
     Returns:
@@ -109,14 +111,15 @@ def write_checkpoint(
     temporary = root / f".writing-{target.name}"
     shutil.rmtree(temporary, ignore_errors=True)
     temporary.mkdir()
+    tensors, rest = split(state)
     save_file(
         {k: v.detach().cpu().clone().contiguous() for k, v in tensors.items()},
         temporary / "weights.safetensors",
     )
-    (temporary / "state.json").write_text(json.dumps(state))
-    if replay is not None:
+    (temporary / "state.json").write_text(json.dumps(rest))
+    if history is not None:
         earlier = [path for path in _checkpoints(run_dir, best=False) if path != target]
-        write_blocks(replay, temporary / "replay", earlier[-1] / "replay" if earlier else None)
+        write_blocks(history, temporary / "replay", earlier[-1] / "replay" if earlier else None)
         sync(temporary / "replay")
     for name in ("weights.safetensors", "state.json"):
         sync(temporary / name)
@@ -156,54 +159,7 @@ def read_checkpoint(run_dir: Path, which: str = "latest") -> Checkpoint:
     path = paths[-1]
     try:
         tensors = load_file(path / "weights.safetensors")
-        state: dict[str, Any] = json.loads((path / "state.json").read_text())
-    except (OSError, ValueError, SafetensorError) as error:
+        state = merge(tensors, json.loads((path / "state.json").read_text()))
+    except (OSError, ValueError, TypeError, AttributeError, SafetensorError) as error:
         raise CheckpointError(f"checkpoint {path} is damaged: {error}") from error
-    return Checkpoint(path, tensors, state)
-
-
-def load_policy(run_dir: Path, which: str = "latest") -> TorchPolicy:
-    """The policy of a run, ready to act.
-
-    Its goal is the one that the run's evaluation episodes had: once
-    a reward was met, the most central of the recently rewarded states; before that, the last
-    proposal.
-
-    Args:
-        run_dir: Of the run.
-        which: `latest`, or `best` by the rewarded fraction of the evaluation episodes.
-
-    Raises:
-        CheckpointError: There is no such run or checkpoint, or it is damaged.
-    """
-    run_dir = Path(run_dir)
-    config, layout = read_run_header(run_dir)
-    checkpoint = read_checkpoint(run_dir, which)
-    inputs = InputNormalizer(layout, config.sac.normalize_input)
-    bounds = (config.sac.log_std_min, config.sac.log_std_max)
-    actor = Actor(inputs.dim, layout.action_dim, config.sac.hidden, bounds)
-    prefix = "actor."
-    try:
-        actor.load_state_dict(
-            {
-                k[len(prefix) :]: torch.as_tensor(v)
-                for k, v in checkpoint.tensors.items()
-                if k.startswith(prefix)
-            }
-        )
-        goal = np.asarray(checkpoint.state["evaluation_goal"], dtype=np.float64)
-        metadata = {
-            "task": layout.task,
-            "method": "skew-explore",
-            "preset": config.preset,
-            "seed": config.seed,
-            "task_options": dict(config.task_options),
-            "environment_steps": checkpoint.state["step"],
-            "updates": checkpoint.state["updates"],
-            "evaluation_fraction": checkpoint.state["evaluation_fraction"],
-            "checkpoint": checkpoint.path.name,
-            "layout_hash": layout.hash(),
-        }
-    except (KeyError, RuntimeError, ValueError) as error:
-        raise CheckpointError(f"checkpoint {checkpoint.path} is damaged: {error}") from error
-    return TorchPolicy(layout, actor, inputs, goal, metadata)
+    return Checkpoint(path, state)

@@ -1,15 +1,13 @@
-"""Gaussian and kernel densities, in the units of a `Scale`."""
+"""Gaussian and kernel densities."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
-from skewmi.policy_io import Array, PolicyLayout
+from skewmi.policy_io import Array
 
 _LOG_TWO_PI = math.log(2.0 * math.pi)
 
@@ -118,99 +116,3 @@ def trajectory_log_density(states: Array, bandwidth: float, *, causal: bool = Tr
     total = kernel.sum(2).double().log() - counts.log()
     log_density: Array = (total - d * math.log(bandwidth) - 0.5 * d * _LOG_TWO_PI).numpy()
     return log_density
-
-
-@dataclass(frozen=True)
-class Scale:
-    """Density units of a state: (state - offset) / unit * weight."""
-
-    offset: Array
-    unit: Array
-    weight: Array
-
-    def __call__(self, states: Array, *, weighted: bool) -> Array:
-        """States (..., d) in density units."""
-        scaled: Array = (states - self.offset) / self.unit
-        return scaled * self.weight if weighted else scaled
-
-    def inverse(self, scaled: Array, *, weighted: bool) -> Array:
-        """Undo `__call__`."""
-        states: Array = (scaled / self.weight if weighted else scaled) * self.unit + self.offset
-        return states
-
-
-class RunningMeanStd:
-    """Mean and variance of everything seen, per field (Chan's parallel update)."""
-
-    def __init__(self, dim: int) -> None:
-        self.count = 0.0
-        self.mean: Array = np.zeros(dim)
-        self.variance: Array = np.ones(dim)
-
-    def update(self, states: Array) -> None:
-        """Take in states of shape (n, dim)."""
-        n = float(len(states))
-        mean, variance = states.mean(0), states.var(0)
-        total = self.count + n
-        delta = mean - self.mean
-        squares = self.variance * self.count + variance * n + delta**2 * self.count * n / total
-        self.mean = self.mean + delta * n / total
-        self.variance = squares / total
-        self.count = total
-
-    def state(self) -> dict[str, object]:
-        """JSON-serialisable."""
-        return {
-            "count": self.count,
-            "mean": self.mean.tolist(),
-            "variance": self.variance.tolist(),
-        }
-
-    def load(self, state: dict[str, object]) -> None:
-        """Inverse of `state`."""
-        self.count = float(state["count"])  # type: ignore[arg-type]
-        self.mean = np.asarray(state["mean"], dtype=np.float64)
-        self.variance = np.asarray(state["variance"], dtype=np.float64)
-
-
-def unit_scale(layout: PolicyLayout, weights: tuple[tuple[str, float], ...] = ()) -> Scale:
-    """The layout's own units."""
-    d = layout.state_dim
-    return Scale(np.zeros(d), np.ones(d), field_weights(layout, weights))
-
-
-def running_scale(
-    layout: PolicyLayout,
-    running: RunningMeanStd,
-    floor: float,
-    weights: tuple[tuple[str, float], ...] = (),
-) -> Scale:
-    """Running mean and standard deviation.
-
-    A field that has hardly moved yet would get a tiny unit, and its noise would fill the
-    density; `floor` is the smallest unit, as a fraction of half the field's nominal range.
-    """
-    half = np.array([0.5 * (field.high - field.low) for field in layout.state_fields])
-    unit = np.maximum(np.sqrt(running.variance), np.maximum(floor * half, 1e-8))
-    return Scale(running.mean.copy(), unit, field_weights(layout, weights))
-
-
-def field_weights(layout: PolicyLayout, weights: tuple[tuple[str, float], ...]) -> Array:
-    """Factor of each state field; 1 where none is given. Shape (state_dim,)."""
-    given = dict(weights)
-    return np.array([given.get(field.name, 1.0) for field in layout.state_fields])
-
-
-def random_rows(
-    states: Array, count: int, generator: np.random.Generator, *, replace: bool = True
-) -> Array:
-    """`count` rows drawn at random. Shape (count, d), or (n, d) if that is all there is."""
-    if not replace and count >= len(states):
-        return states
-    index: NDArray[np.int64] = (
-        generator.integers(len(states), size=count)
-        if replace
-        else generator.choice(len(states), size=count, replace=False)
-    )
-    rows: Array = states[index]
-    return rows

@@ -24,9 +24,10 @@ def visited_states(run_dir: Path) -> tuple[Array, Array]:
     """
     config, layout = read_run_header(run_dir)
     checkpoint = read_checkpoint(run_dir)
-    replay = Replay(layout, config.replay.capacity_steps)
-    read_blocks(replay, checkpoint.path / "replay", int(checkpoint.state["episodes"]))
-    first = replay.count - len(replay)
-    slots = np.arange(first, replay.count) % replay.capacity
-    states, rewards = replay.state_columns(slots)
+    goal_dim = len(checkpoint.state["evaluation_goal"])
+    history = Replay(layout, config.rollout.history_steps, goal_dim)
+    read_blocks(history, checkpoint.path / "replay", int(checkpoint.state["episodes"]))
+    first = history.count - len(history)
+    slots = np.arange(first, history.count) % history.capacity
+    states, rewards = history.state_columns(slots)
     return states.astype(np.float64), rewards.astype(np.float64)

@@ -20,12 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from skewmi.batch_env import BatchEnv
+from skewmi.batch_env import BatchEnv, TaskMetrics
 from skewmi.errors import ConfigurationError
 from skewmi.policy_io import Array, PolicyLayout
 from skewmi.train.config import MetricsConfig
 from skewmi.train.density import kernel_log_density
 from skewmi.train.replay import Replay
+from skewmi.train.state import State, as_array
 
 
 def grid_points(low: Array, high: Array, counts: NDArray[np.int64]) -> Array:
@@ -46,22 +47,28 @@ def published_coverage(distance: Array, width: float) -> float:
 
 
 class CoverageMetrics:
-    """Running measurements on the grid of a `MetricsConfig`."""
+    """What a run has visited, on the grid that its task is measured on.
 
-    def __init__(self, layout: PolicyLayout, config: MetricsConfig) -> None:
+    Args:
+        layout: Of the task.
+        task: Its grid; without one there are no metrics.
+        config: How it is measured.
+    """
+
+    def __init__(self, layout: PolicyLayout, task: TaskMetrics, config: MetricsConfig) -> None:
         names = [field.name for field in layout.state_fields]
-        unknown = [axis.field for axis in config.grid if axis.field not in names]
+        unknown = [axis.field for axis in task.grid if axis.field not in names]
         if unknown:
             raise ConfigurationError(
                 f"measurement grid uses unknown fields {unknown}; fields are {names}"
             )
         self.config = config
-        self.columns = [names.index(axis.field) for axis in config.grid]
-        low = np.array([axis.low for axis in config.grid])
-        high = np.array([axis.high for axis in config.grid])
-        self.counts = np.array([axis.points for axis in config.grid], dtype=np.int64)
-        self.offset = low if config.unit_range else np.zeros(len(low))
-        self.unit = high - low if config.unit_range else np.ones(len(low))
+        self.columns = [names.index(axis.field) for axis in task.grid]
+        low = np.array([axis.low for axis in task.grid])
+        high = np.array([axis.high for axis in task.grid])
+        self.counts = np.array([axis.points for axis in task.grid], dtype=np.int64)
+        self.offset = low if task.unit_range else np.zeros(len(low))
+        self.unit = high - low if task.unit_range else np.ones(len(low))
         self.low, self.high = (low - self.offset) / self.unit, (high - self.offset) / self.unit
         self.points = (
             grid_points(self.low, self.high, self.counts) if self.columns else np.zeros((0, 0))
@@ -113,12 +120,12 @@ class CoverageMetrics:
             "covered_cells": float((self.visited & self.reachable).sum() / reachable),
         }
 
-    def entropy(self, replay: Replay, generator: np.random.Generator) -> dict[str, float]:
-        """Both entropies of everything in the replay."""
+    def entropy(self, history: Replay, generator: np.random.Generator) -> dict[str, float]:
+        """Both entropies of everything in the history."""
         if not self.columns:
             return {}
         c = self.config
-        x = self.project(replay.random_states(c.entropy_points, generator)[0])
+        x = self.project(history.random_states(c.entropy_points, generator)[0])
         log_density = kernel_log_density(self.points, x, c.entropy_bandwidth)
         own = x[: min(5_000, len(x))]
         left_out = kernel_log_density(own, own, c.entropy_bandwidth, leave_one_out=True)
@@ -129,11 +136,11 @@ class CoverageMetrics:
             "differential_entropy": float(-finite.mean()) if len(finite) else float("nan"),
         }
 
-    def state(self) -> dict[str, Array]:
-        """Arrays that a continuation needs."""
-        return {"distance": self.distance, "visited": self.visited.astype(np.float64)}
+    def state_dict(self) -> State:
+        """All that a continuation needs."""
+        return {"distance": self.distance, "visited": self.visited}
 
-    def load(self, state: dict[str, Array]) -> None:
-        """Inverse of `state`."""
-        self.distance = np.asarray(state["distance"], dtype=np.float64)
-        self.visited = np.asarray(state["visited"]) > 0.5
+    def load_state_dict(self, state: State) -> None:
+        """Inverse of `state_dict`."""
+        self.distance = as_array(state["distance"])
+        self.visited = as_array(state["visited"]).astype(np.bool_)

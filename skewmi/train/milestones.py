@@ -7,9 +7,10 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
+from skewmi.batch_env import Event
 from skewmi.errors import ConfigurationError
 from skewmi.policy_io import Array, PolicyLayout
-from skewmi.train.config import Event
+from skewmi.train.state import State
 
 REWARD_EVENT = "reward"
 """Name of the event that every run has: the first extrinsic reward."""
@@ -62,6 +63,14 @@ class Discoveries:
                 new.append(name)
         return new
 
+    def state_dict(self) -> State:
+        """All that a continuation needs."""
+        return dict(self.first)
+
+    def load_state_dict(self, state: State) -> None:
+        """Inverse of `state_dict`."""
+        self.first = dict(state)
+
     def _met(self, name: str, observations: Array) -> NDArray[np.bool_]:
         event = next(event for event in self._events if event.name == name)
         met = np.ones(observations.shape[:-1], dtype=np.bool_)
@@ -102,3 +111,14 @@ class Convergence:
     @property
     def converged(self) -> bool:
         return len(self.fractions) == self.TRAJECTORIES and self.fraction >= self.threshold - 1e-9
+
+    def state_dict(self) -> State:
+        """All that a continuation needs."""
+        return {"fractions": list(self.fractions), "returns": list(self.returns)}
+
+    def load_state_dict(self, state: State) -> None:
+        """Inverse of `state_dict`."""
+        self.fractions.clear()
+        self.returns.clear()
+        self.fractions.extend(state["fractions"])
+        self.returns.extend(state["returns"])

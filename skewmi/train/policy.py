@@ -2,44 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from skewmi.errors import LayoutMismatchError
+from skewmi.errors import CheckpointError, LayoutMismatchError
 from skewmi.policy_io import Array, PolicyLayout
-from skewmi.train.inputs import InputNormalizer
-from skewmi.train.sac.networks import Actor
-
-
-class PolicyModule(nn.Module):
-    """Raw observation (n, observation_dim) float32 -> action in [-1, 1] (n, action_dim).
-
-    The input map and the goal are constants of the module, so exporting it exports
-    the whole policy. The action is the mode of the squashed policy's Gaussian, tanh(mean).
-    """
-
-    def __init__(
-        self, actor: Actor, inputs: InputNormalizer, observation_dim: int, goal: Array
-    ) -> None:
-        super().__init__()
-        self.body = actor.body
-        self.action_dim = actor.body[-1].out_features // 2  # type: ignore[operator]
-        # In float64 here, so that the folded constants round once only.
-        n = observation_dim
-        reference = (goal - inputs.center[n:]) / inputs.half[n:]
-        self.register_buffer("center", _single(inputs.center[:n]))
-        self.register_buffer("inverse_half", _single(1.0 / inputs.half[:n]))
-        self.register_buffer("reference", _single(reference))
-
-    def forward(self, observation: Tensor) -> Tensor:
-        scaled = (observation - self.center) * self.inverse_half  # type: ignore[operator]
-        reference: Tensor = self.reference  # type: ignore[assignment]
-        whole = torch.cat((scaled, reference.expand(observation.shape[0], -1)), dim=-1)
-        mean: Tensor = self.body(whole)[:, : self.action_dim]
-        return torch.tanh(mean)
+from skewmi.train.checkpoint import read_checkpoint, read_run_header
+from skewmi.train.registry import entry_of, make_learner
+from skewmi.train.state import as_array
 
 
 class TorchPolicy:
@@ -47,30 +21,31 @@ class TorchPolicy:
 
     Attributes:
         layout: What it was trained on.
-        module: See `PolicyModule`; what `export` writes.
-        goal: The fixed goal, in the task's units. Shape (state_dim,).
+        module: What `export` writes, see `export.exportable`.
+        goal: The fixed goal, in the task's units. Shape (state_dim,), or (0,) without goals.
         metadata: Task, method, seed, steps and training metrics; JSON-serialisable.
     """
 
     def __init__(
-        self,
-        layout: PolicyLayout,
-        actor: Actor,
-        inputs: InputNormalizer,
-        goal: Array,
-        metadata: dict[str, Any],
+        self, layout: PolicyLayout, module: nn.Module, goal: Array, metadata: dict[str, Any]
     ) -> None:
         self.layout = layout
         self.goal = goal
         self.metadata = metadata
-        self.module = PolicyModule(actor, inputs, layout.observation_dim, goal).eval()
+        self.module = module.eval()
         self.module.requires_grad_(False)
+        self._state_sizes: tuple[int, ...] = tuple(getattr(module, "state_sizes", ()))
+        self._hidden: tuple[Tensor, ...] = ()
 
     def reset(self) -> None:
-        """Nothing to forget: the policy has no memory."""
+        """Forget the previous episode."""
+        self._hidden = ()
 
     def act(self, observation: Array) -> Array:
         """Action in [-1, 1], shape (..., action_dim), for an observation (..., observation_dim).
+
+        A recurrent policy advances its hidden state; between two resets, the batch may not
+        change.
 
         Raises:
             LayoutMismatchError: The last axis has another length.
@@ -81,11 +56,52 @@ class TorchPolicy:
                 f"observation has {observation.shape[-1]} fields, this policy needs "
                 f"{self.layout.observation_dim}: {', '.join(self.layout.observation_names)}"
             )
-        flat = _single(observation.reshape(-1, self.layout.observation_dim))
+        flat = np.ascontiguousarray(observation.reshape(-1, self.layout.observation_dim))
+        inputs = torch.as_tensor(flat, dtype=torch.float32)
         with torch.no_grad():
-            action: Array = self.module(flat).double().numpy()
-        return action.reshape(*observation.shape[:-1], -1)
+            if not self._state_sizes:
+                action = self.module(inputs)
+            else:
+                hidden = self._hidden or tuple(torch.zeros(len(flat), n) for n in self._state_sizes)
+                action, *after = self.module(inputs, *hidden)
+                self._hidden = tuple(after)
+        result: Array = action.double().numpy()
+        return result.reshape(*observation.shape[:-1], -1)
 
 
-def _single(values: Array) -> Tensor:
-    return torch.as_tensor(np.ascontiguousarray(values), dtype=torch.float32)
+def load_policy(run_dir: Path, which: str = "latest") -> TorchPolicy:
+    """The policy of a run, ready to act.
+
+    Its goal is the one that the run's evaluation episodes had.
+
+    Args:
+        run_dir: Of the run.
+        which: `latest`, or `best` by the rewarded fraction of the evaluation episodes.
+
+    Raises:
+        CheckpointError: There is no such run or checkpoint, or it is damaged.
+    """
+    run_dir = Path(run_dir)
+    config, layout = read_run_header(run_dir)
+    checkpoint = read_checkpoint(run_dir, which)
+    state = checkpoint.state
+    try:
+        goal = as_array(state["evaluation_goal"]).astype(np.float64)
+        learner = make_learner(config.learner, layout, len(goal), config.seed, "cpu")
+        learner.load_state_dict(state["learner"])
+        metadata = {
+            "task": layout.task,
+            "method": entry_of(config.exploration)[0],
+            "learner": entry_of(config.learner)[0],
+            "preset": config.preset,
+            "seed": config.seed,
+            "task_options": dict(config.task_options),
+            "environment_steps": state["step"],
+            "updates": state["updates"],
+            "evaluation_fraction": state["evaluation_fraction"],
+            "checkpoint": checkpoint.path.name,
+            "layout_hash": layout.hash(),
+        }
+    except (KeyError, RuntimeError, ValueError, TypeError, AttributeError) as error:
+        raise CheckpointError(f"checkpoint {checkpoint.path} is damaged: {error}") from error
+    return TorchPolicy(layout, learner.policy_module(goal), goal, metadata)

@@ -1,13 +1,14 @@
-"""Replay of whole episodes in one preallocated array, hindsight drawn at sampling time.
+"""Whole episodes in one preallocated array, hindsight drawn at sampling time.
 
 Layout of the array, columns of one row (float32):
 
-    observation | action | goal | reward | log p_tau
+    observation | action | goal | reward | trajectory term
 
-Row t of an episode holds the observation before step t, the action and goal of
-step t, and the extrinsic reward and the trajectory density of the state that step t led to.
-The last row, t = episode_steps, holds the last observation only. log p_tau does not depend on
-the goal, so one scalar per transition is all that relabelling needs.
+Row t of an episode holds the observation before step t, the action and goal of step t, and the
+extrinsic reward and the trajectory term of the state that step t led to. The last row,
+t = episode_steps, holds the last observation only. The trajectory term is what of the intrinsic
+reward does not depend on the goal (see `exploration.protocol`), so one scalar per transition is
+all that relabelling needs.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ class Episodes:
     Attributes:
         observations: Shape (episodes, steps + 1, observation_dim).
         actions: Shape (episodes, steps, action_dim).
-        goals: Goals. Shape (episodes, steps, state_dim).
+        goals: Shape (episodes, steps, goal_dim).
         rewards: Extrinsic, after each step. Shape (episodes, steps).
     """
 
@@ -49,11 +50,11 @@ class Transitions:
         step: Step the transition starts at. Shape (n,).
         observation: Shape (n, observation_dim).
         action: Shape (n, action_dim).
-        goal: As collected. Shape (n, state_dim).
+        goal: As collected. Shape (n, goal_dim).
         length: Steps summed, n_step or less at the end of an episode. Shape (n,).
         states: States after each of them. Shape (n, n_step, state_dim).
         rewards: Extrinsic. Shape (n, n_step).
-        log_tau: log p_tau. Shape (n, n_step).
+        trajectory_term: As stored. Shape (n, n_step).
         next_observation: After `length` steps. Shape (n, observation_dim).
         at_end: Whether that is the end of the episode. Shape (n,).
     """
@@ -66,24 +67,30 @@ class Transitions:
     length: Index
     states: Single
     rewards: Single
-    log_tau: Single
+    trajectory_term: Single
     next_observation: Single
     at_end: NDArray[np.bool_]
 
 
 class Replay:
-    """A ring of whole episodes."""
+    """A ring of whole episodes: what a run has visited.
 
-    def __init__(self, layout: PolicyLayout, capacity_steps: int) -> None:
+    Args:
+        layout: Of the task.
+        capacity_steps: Steps kept at most, at least one episode.
+        goal_dim: Size of a goal, 0 without goals.
+    """
+
+    def __init__(self, layout: PolicyLayout, capacity_steps: int, goal_dim: int) -> None:
         self.steps = layout.episode_steps
         self.capacity = max(1, capacity_steps // self.steps)
         o, a, s = layout.observation_dim, layout.action_dim, layout.state_dim
-        ends = np.cumsum([o, a, s, 1, 1])
+        ends = np.cumsum([o, a, goal_dim, 1, 1])
         self._observation = slice(0, o)
         self._state = slice(0, s)
         self._action = slice(o, int(ends[1]))
         self._goal = slice(int(ends[1]), int(ends[2]))
-        self._reward, self._log_tau = int(ends[2]), int(ends[3])
+        self._reward, self._trajectory_term = int(ends[2]), int(ends[3])
         self.columns = int(ends[4])
         # Zeroed pages are not backed by memory until an episode lands there.
         self.rows: Single = np.zeros((self.capacity, self.steps + 1, self.columns), np.float32)
@@ -100,8 +107,8 @@ class Replay:
         """Transitions held."""
         return len(self) * self.steps
 
-    def add(self, episodes: Episodes, log_tau: Array) -> None:
-        """Append finished episodes; log_tau of shape (episodes, steps)."""
+    def add(self, episodes: Episodes, trajectory_term: Array) -> None:
+        """Append finished episodes; trajectory_term of shape (episodes, steps)."""
         n = len(episodes.actions)
         slots = (self.count + np.arange(n)) % self.capacity
         rows = np.zeros((n, self.steps + 1, self.columns), np.float32)
@@ -109,7 +116,7 @@ class Replay:
         rows[:, :-1, self._action] = episodes.actions
         rows[:, :-1, self._goal] = episodes.goals
         rows[:, :-1, self._reward] = episodes.rewards
-        rows[:, :-1, self._log_tau] = log_tau
+        rows[:, :-1, self._trajectory_term] = trajectory_term
         self.rows[slots] = rows
         self.count += n
         self.refresh_index(slots)
@@ -190,7 +197,7 @@ class Replay:
             length=length,
             states=reached[:, :, self._state],
             rewards=paid[:, :, self._reward],
-            log_tau=paid[:, :, self._log_tau],
+            trajectory_term=paid[:, :, self._trajectory_term],
             next_observation=reached[np.arange(count), length - 1, self._observation],
             at_end=step + length == self.steps,
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import torch
@@ -20,9 +20,9 @@ from skewmi.train.checkpoint import (
 from skewmi.train.config import TrainConfig
 from skewmi.train.log import MetricsTable, ProgressBar
 from skewmi.train.memory import keep_freed_memory
-from skewmi.train.runner import Trainer
+from skewmi.train.runner import Runner
 
-COLUMNS = (
+_COLUMNS = (
     "step",
     "trajectories",
     "updates",
@@ -35,17 +35,9 @@ COLUMNS = (
     "coverage",
     "differential_entropy",
     "covered_cells",
-    "critic_loss",
-    "actor_loss",
-    "value",
-    "temperature",
-    "policy_entropy",
-    "seconds_rollout",
-    "seconds_goals",
-    "seconds_update",
-    "seconds",
 )
-"""Of metrics.csv; `docs/skew-explore.md` says what each means."""
+"""Of metrics.csv, followed by those of learner, exploration and time; `docs/skew-explore.md` says
+what each means."""
 
 TIME_COLUMNS = ("seconds_rollout", "seconds_goals", "seconds_update", "seconds")
 """Columns that differ between two runs of the same seed."""
@@ -97,7 +89,7 @@ def run_train(
         run_dir: Created; must not hold a run unless resuming.
         resume: Continue from the latest checkpoint; with none yet, start.
         start_from: Directory of another run, of the same networks and layout: a new run begins
-            with its networks, replay and counters, say under another variation.
+            with its networks, episodes and counters, say under another variation of the model.
         progress: Bar on standard error.
 
     Raises:
@@ -116,49 +108,75 @@ def run_train(
     started = time.monotonic()
     torch.set_num_threads(config.threads)
     keep_freed_memory()
-    trainer, resumed_at = _open(config, env, run_dir, resume, start_from)
-    before = float(trainer_seconds(run_dir)) if resumed_at is not None else 0.0
-    table = MetricsTable(run_dir, COLUMNS, resumed_at)
-    metrics: dict[str, float] = {}
+    runner, resumed_at = _open(config, env, run_dir, resume, start_from)
+    before = earlier_seconds(run_dir) if resumed_at is not None else 0.0
+    own = (*runner.learner.metrics, *runner.exploration.metrics)
+    table = MetricsTable(run_dir, (*_COLUMNS, *own, *TIME_COLUMNS), resumed_at)
     try:
         with ProgressBar(config.total_steps, progress) as bar:
-            while (stop := _stop_reason(config, trainer, time.monotonic() - started)) is None:
-                metrics, new = trainer.iterate()
-                metrics["seconds"] = before + time.monotonic() - started
-                # The row first: rows after the checkpoint are dropped on resuming, so a kill
-                # between the two costs neither a row nor doubles one.
-                table.write(metrics)
-                if trainer.improved():
-                    tensors, state = trainer.tensors(), trainer.state()
-                    write_checkpoint(run_dir, trainer.steps, tensors, state, None, best=True)
-                if trainer.iteration % config.checkpoint_every == 0:
-                    _save(trainer, run_dir)
-                for name in new:
-                    first = trainer.discoveries.first[name]
-                    bar.note(f"first {name}: trajectory {first['trajectory']:,}")
-                bar.update(trainer.steps, trainer.iteration, _headline(metrics))
-        if metrics and trainer.iteration % config.checkpoint_every != 0:
-            _save(trainer, run_dir)
+            metrics, stopped_by = _iterate(
+                config, runner, run_dir, table, bar, started=started, before=before
+            )
     finally:
         table.close()
     return TrainResult(
         run_dir=str(run_dir),
-        steps=trainer.steps,
-        trajectories=trainer.episodes,
-        converged_at=trainer.converged_at,
-        evaluation_fraction=trainer.convergence.fraction,
-        discoveries=trainer.discoveries.first,
-        stopped_by=stop,
+        steps=runner.steps,
+        trajectories=runner.episodes,
+        converged_at=runner.converged_at,
+        evaluation_fraction=runner.convergence.fraction,
+        discoveries=runner.discoveries.first,
+        stopped_by=stopped_by,
         seconds=time.monotonic() - started,
         metrics=metrics,
     )
 
 
-def _save(trainer: Trainer, run_dir: Path) -> None:
-    write_checkpoint(run_dir, trainer.steps, trainer.tensors(), trainer.state(), trainer.replay)
+def _iterate(
+    config: TrainConfig,
+    runner: Runner,
+    run_dir: Path,
+    table: MetricsTable,
+    bar: ProgressBar,
+    *,
+    started: float,
+    before: float,
+) -> tuple[dict[str, float], str]:
+    """Iterate until a reason to stop; the last metrics, and the reason.
+
+    Args:
+        config: When to stop and to write a checkpoint.
+        runner: At an iteration's beginning.
+        run_dir: Of the run.
+        table: Gets a row per iteration.
+        bar: Shows progress.
+        started: When this part of the run started, on the monotonic clock.
+        before: Wall-clock seconds of earlier parts of the run.
+    """
+    metrics: dict[str, float] = {}
+    while (stop := _stop_reason(config, runner, time.monotonic() - started)) is None:
+        metrics, new = runner.iterate()
+        metrics["seconds"] = before + time.monotonic() - started
+        # The row first: rows after the checkpoint are dropped on resuming, so a kill between the
+        # two costs neither a row nor doubles one.
+        table.write(metrics)
+        if runner.improved():
+            write_checkpoint(run_dir, runner.steps, runner.state_dict(), None, best=True)
+        if runner.iteration % config.checkpoint_every == 0:
+            _save(runner, run_dir)
+        for name in new:
+            bar.note(f"first {name}: trajectory {runner.discoveries.first[name]['trajectory']:,}")
+        bar.update(runner.steps, runner.iteration, _headline(metrics))
+    if metrics and runner.iteration % config.checkpoint_every != 0:
+        _save(runner, run_dir)
+    return metrics, stop
 
 
-def trainer_seconds(run_dir: Path) -> float:
+def _save(runner: Runner, run_dir: Path) -> None:
+    write_checkpoint(run_dir, runner.steps, runner.state_dict(), runner.history)
+
+
+def earlier_seconds(run_dir: Path) -> float:
     """Wall-clock seconds that earlier parts of a run took."""
     try:
         last = (run_dir / "metrics.csv").read_text().strip().splitlines()[-1]
@@ -169,8 +187,8 @@ def trainer_seconds(run_dir: Path) -> float:
 
 def _open(
     config: TrainConfig, env: BatchEnv, run_dir: Path, resume: bool, start_from: Path | None
-) -> tuple[Trainer, int | None]:
-    """The trainer, and the step of the checkpoint it continues from."""
+) -> tuple[Runner, int | None]:
+    """The runner, and the step of the checkpoint it continues from."""
     origin = None
     if start_from is not None and not (run_dir / "config.json").exists():
         _, layout = read_run_header(start_from)
@@ -185,37 +203,38 @@ def _open(
         earlier, layout = read_run_header(run_dir)
         require_same_layout(env.layout, layout, f"the run in {run_dir}")
         _require_same_config(config, earlier, run_dir)
+    runner = Runner(config, env)  # before anything is written: it refuses what does not fit
     write_run_header(run_dir, config, env.layout)
-    trainer = Trainer(config, env)
     if origin is not None:
-        trainer.begin_with(origin)
-        return trainer, None
+        runner.begin_with(origin)
+        return runner, None
     has_checkpoint = exists and any((run_dir / "checkpoints").glob("[0-9]*"))
     if not has_checkpoint:
-        return trainer, (0 if exists else None)
+        return runner, (0 if exists else None)
     checkpoint = read_checkpoint(run_dir)
     if checkpoint.state.get("layout_hash") != env.layout.hash():
         raise CheckpointError(f"checkpoint {checkpoint.path} was made for another layout")
-    trainer.load(checkpoint)
-    return trainer, trainer.steps
+    runner.load(checkpoint)
+    return runner, runner.steps
 
 
 def _require_same_config(config: TrainConfig, earlier: TrainConfig, run_dir: Path) -> None:
     same_pace = replace(earlier, **{name: getattr(config, name) for name in _PACE})
     if config == same_pace:
         return
-    ours, theirs = asdict(config), asdict(same_pace)
-    parts = [name for name in ours if ours[name] != theirs[name]]
+    parts = [
+        f.name for f in fields(config) if getattr(config, f.name) != getattr(same_pace, f.name)
+    ]
     raise ConfigurationError(
         f"the run in {run_dir} was started with another {', '.join(parts)}; resume it with the "
         f"same configuration (only {', '.join(_PACE)} may change)"
     )
 
 
-def _stop_reason(config: TrainConfig, trainer: Trainer, seconds: float) -> str | None:
-    if config.stop_on_convergence and trainer.convergence.converged:
+def _stop_reason(config: TrainConfig, runner: Runner, seconds: float) -> str | None:
+    if config.stop_on_convergence and runner.convergence.converged:
         return "convergence"
-    if trainer.steps >= config.total_steps:
+    if runner.steps >= config.total_steps:
         return "steps"
     if config.minutes is not None and seconds >= 60.0 * config.minutes:
         return "minutes"

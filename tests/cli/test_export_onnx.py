@@ -17,7 +17,7 @@ from skewmi.deploy.policy import OnnxPolicy
 from skewmi.robot_models import yumi
 from skewmi.sim import tasks
 from skewmi.sim.arm.batch import ArmBatch
-from skewmi.train.checkpoint import load_policy
+from skewmi.train.policy import load_policy
 
 
 @pytest.fixture(scope="module")

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from skewmi.cli.main import main
+from skewmi.cli.train_options import default_options
+from skewmi.train.checkpoint import read_run_header
 from skewmi.train.history import visited_states
 from skewmi.train.log import read_metrics
+from skewmi.train.presets import preset
+from skewmi.train.sac.config import SacConfig
 
 SHORT = ["--task", "point_maze", "--num-envs", "2", "--steps", "800", "--quiet"]
 
@@ -61,7 +66,7 @@ def test_figures_show_the_run(run_dir: Path, tmp_path, capsys) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["train", "--task", "door"], "presets are"),
+        (["train", "--task", "door"], "point_maze"),
         (["train"], "no run directory"),
         (["train", "--task", "point_maze", "--steps", "0"], "total_steps"),
         (["figures"], "no run directory"),
@@ -83,33 +88,70 @@ def test_a_run_is_not_overwritten(run_dir: Path, capsys) -> None:
     assert "--resume" in capsys.readouterr().err
 
 
-def test_numbers_of_the_preset_can_be_set(tmp_path, capsys) -> None:
+def test_every_number_of_the_preset_has_a_flag(tmp_path, capsys) -> None:
     folder = tmp_path / "run"
-    changes = ["--set", "sac.n_step=1", "skew.sigma=1.5", 'skew.trajectory_density="whole"']
+    changes = ["--learner.n-step", "1", "--exploration.sigma", "1.5", "--learner.hidden", "16", "8"]
+    changes += ["--exploration.trajectory-density", "whole", "--learner.no-layer-norm"]
+    changes += ["--option", "time_input=false"]
     assert main(["train", "--run-dir", str(folder), *SHORT, *changes]) == 0
-    config = json.loads((folder / "config.json").read_text())["config"]
-    assert (config["sac"]["n_step"], config["skew"]["sigma"]) == (1, 1.5)
-    assert config["skew"]["trajectory_density"] == "whole"
-    again = ["train", "--run-dir", str(folder), "--resume", "--set", "sac.n_step=3", "--quiet"]
-    assert main(again) == 2
-    assert "leave --set out" in capsys.readouterr().err
+    config, _ = read_run_header(folder)
+    base = preset("point_maze")
+    assert config.learner == replace(base.learner, n_step=1, hidden=(16, 8), layer_norm=False)
+    assert config.exploration == replace(base.exploration, sigma=1.5, trajectory_density="whole")
+    assert dict(config.task_options) == {"time_input": False}
+    assert config.rollout == replace(base.rollout, num_envs=2, evaluation_envs=1)
+    # What a run began with stays, and going on needs no flag of it.
+    again = ["train", "--run-dir", str(folder), "--resume", "--quiet", "--steps", "1200"]
+    assert main([*again, "--learner.n-step", "3", "--num-envs", "4"]) == 2
+    assert "leave out --learner.n-step, --num-envs" in capsys.readouterr().err
+    assert main([*again, "--learner.n-step", "1", "--num-envs", "2"]) == 0
+    assert read_run_header(folder)[0] == replace(config, total_steps=1200)
+
+
+def test_method_by_name_brings_its_own_numbers(tmp_path) -> None:
+    begin = default_options(["--run-dir", "x", "--task", "point_maze", "--learner", "sac"])
+    assert begin.numbers.learner == SacConfig()
+    assert begin.numbers.exploration == preset("point_maze").exploration
+    begin = default_options(["--task", "point_maze", "--preset=paper"])
+    assert begin.numbers.learner == preset("point_maze", "paper").learner
+
+
+def test_help_shows_the_presets_numbers(capsys) -> None:
+    for name, batch in (("improved", "256"), ("paper", "1024")):
+        with pytest.raises(SystemExit):
+            main(["train", "--task", "point_maze", "--preset", name, "--help"])
+        text = " ".join(capsys.readouterr().out.split())
+        assert f"Transitions per update. (default: {batch})" in text
 
 
 @pytest.mark.parametrize(
-    ("setting", "says"),
+    ("arguments", "says"),
     [
-        ("sac.n_steps=1", "it has hidden"),
-        ("n_step=1", "SECTION.NAME=VALUE"),
-        ("sac.n_step", "SECTION.NAME=VALUE"),
-        ("sac.n_step=one", "not JSON"),
-        ("sac.n_step=0", "needs at least 1"),
-        ("task_options.no_such=1", "no_such"),
+        (["--learner.n-step", "0"], "needs at least 1"),
+        (["--learner", "unheard-of"], "there are sac"),
+        (["--exploration", "unheard-of"], "there are skew-explore"),
+        (["--preset", "best"], "point_maze/improved"),
+        (["--option", "no_such=1"], "no_such"),
+        (["--option", "time_input"], "NAME=VALUE"),
+        (["--option", "time_input=[1]"], "is not a number, a word or true or false"),
+        (["--exploration.field-weights", "lid", "2"], "fields are"),
+        (["--learner.learning-rate", "inf"], "number without end"),
     ],
 )
-def test_settings_that_mean_nothing_are_refused(tmp_path, capsys, setting, says) -> None:
+def test_settings_that_mean_nothing_are_refused(tmp_path, capsys, arguments, says) -> None:
     folder = tmp_path / "run"
-    assert main(["train", "--run-dir", str(folder), *SHORT, "--set", setting]) == 2
+    assert main(["train", "--run-dir", str(folder), *SHORT, *arguments]) == 2
     assert says in capsys.readouterr().err
+    assert not folder.exists()
+
+
+@pytest.mark.parametrize("arguments", [["--learner.n-steps", "1"], ["--learner.n-step", "one"]])
+def test_flags_that_do_not_exist_are_refused(tmp_path, capsys, arguments: list[str]) -> None:
+    folder = tmp_path / "run"
+    with pytest.raises(SystemExit) as error:
+        main(["train", "--run-dir", str(folder), *SHORT, *arguments])
+    assert error.value.code == 2
+    assert "learner.n-step" in capsys.readouterr().err
     assert not folder.exists()
 
 

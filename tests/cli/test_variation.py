@@ -9,7 +9,8 @@ import pytest
 
 from skewmi.cli.main import main
 from skewmi.sim import tasks
-from skewmi.train.checkpoint import load_policy, read_run_header
+from skewmi.train.checkpoint import read_run_header
+from skewmi.train.policy import load_policy
 
 VARIATIONS = tasks.find("open_press_close").variations
 OPC = ["--task", "open_press_close"]

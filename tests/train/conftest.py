@@ -8,19 +8,12 @@ import numpy as np
 import pytest
 import torch
 
-from skewmi.batch_env import StepResult
+from skewmi.batch_env import Condition, Event, GridAxis, StepResult, TaskMetrics
 from skewmi.policy_io import ActionField, Array, Ball, Field, PolicyLayout, inside_region
-from skewmi.train.config import (
-    Condition,
-    Event,
-    GridAxis,
-    MetricsConfig,
-    ReplayConfig,
-    RolloutConfig,
-    SacConfig,
-    SkewConfig,
-    TrainConfig,
-)
+from skewmi.train.config import MetricsConfig, RolloutConfig, TrainConfig
+from skewmi.train.exploration.skew_explore import SkewExploreConfig
+from skewmi.train.replay import Episodes, Replay
+from skewmi.train.sac.config import SacConfig
 
 STEPS = 40
 
@@ -102,24 +95,59 @@ def corridor_config() -> TrainConfig:
         task="corridor",
         seed=3,
         total_steps=1200,
-        sac=SacConfig(hidden=(32, 32), batch_size=64, updates_per_step=0.05),
-        replay=ReplayConfig(capacity_steps=20 * STEPS),
-        skew=SkewConfig(
+        learner=SacConfig(hidden=(32, 32), batch_size=64, updates_per_step=0.05),
+        exploration=SkewExploreConfig(
             sigma=0.5,
             running_scale=True,
             history_points=200,
             candidates=300,
-            goals=20,
+            proposals=20,
             refresh_steps=200,
             first_refresh_steps=200,
             field_weights=(("y", 1.5),),
         ),
-        rollout=RolloutConfig(num_envs=5, random_steps=200, evaluation_envs=1),
-        metrics=MetricsConfig(
+        rollout=RolloutConfig(
+            num_envs=5, random_steps=200, evaluation_envs=1, history_steps=20 * STEPS
+        ),
+        metrics=MetricsConfig(entropy_bandwidth=0.2, entropy_points=300, every_steps=400),
+        task_metrics=TaskMetrics(
             grid=(GridAxis("x", 0.0, 4.0, 10), GridAxis("y", 0.0, 4.0, 10)),
-            entropy_bandwidth=0.2,
-            entropy_points=300,
-            every_steps=400,
             events=(Event("right side", (Condition("x", low=2.4),)),),
         ),
     )
+
+
+def random_episodes(
+    layout: PolicyLayout, n: int, rng: np.random.Generator, paid: float = 0.1
+) -> Episodes:
+    """Episodes of the corridor, made up at random; a fraction `paid` of the steps is rewarded."""
+    steps = layout.episode_steps
+    observations = rng.uniform(0, 4, size=(n, steps + 1, 3))
+    observations[..., 2] = np.arange(steps + 1) / steps
+    return Episodes(
+        observations=observations,
+        actions=rng.uniform(-1, 1, size=(n, steps, 2)),
+        goals=rng.uniform(0, 4, size=(n, steps, 2)),
+        rewards=(rng.random((n, steps)) < paid).astype(float),
+    )
+
+
+@pytest.fixture
+def make_episodes() -> Callable[..., Episodes]:
+    return random_episodes
+
+
+@pytest.fixture
+def layout() -> PolicyLayout:
+    return Corridor().layout
+
+
+@pytest.fixture
+def filled(layout: PolicyLayout) -> tuple[Replay, Episodes, Array]:
+    """A history of eight episodes, the episodes, and their trajectory terms."""
+    rng = np.random.default_rng(0)
+    history = Replay(layout, 12 * layout.episode_steps, 2)
+    episodes = random_episodes(layout, 8, rng)
+    term = rng.normal(size=(8, layout.episode_steps))
+    history.add(episodes, term)
+    return history, episodes, term

@@ -9,13 +9,12 @@ from hypothesis import strategies as st
 from scipy.stats import gaussian_kde, multivariate_normal
 
 from skewmi.train.density import (
-    RunningMeanStd,
     gaussian_log_density,
     kernel_log_density,
     trajectory_log_density,
 )
-from skewmi.train.exploration.skew_explore import skew_weights
 from skewmi.train.metrics import CoverageMetrics, published_coverage, published_entropy
+from skewmi.train.running_mean_std import RunningMeanStd
 
 
 def brute_force(query: np.ndarray, points: np.ndarray, h: float) -> np.ndarray:
@@ -105,7 +104,7 @@ def test_trajectory_density_looks_only_back() -> None:
 
 
 @given(parts=st.lists(st.integers(1, 20), min_size=1, max_size=6), seed=st.integers(0, 2**31))
-def test_running_moments_are_those_of_everything(parts: list[int], seed: int) -> None:
+def test_running_mean_and_variance_are_those_of_everything(parts: list[int], seed: int) -> None:
     rng = np.random.default_rng(seed)
     chunks = [rng.normal(3.0, 2.0, size=(n, 2)) for n in parts]
     running = RunningMeanStd(2)
@@ -114,15 +113,6 @@ def test_running_moments_are_those_of_everything(parts: list[int], seed: int) ->
     whole = np.concatenate(chunks)
     np.testing.assert_allclose(running.mean, whole.mean(0), atol=1e-9)
     np.testing.assert_allclose(running.variance, whole.var(0), atol=1e-9)
-
-
-def test_weights_turn_one_density_into_its_power() -> None:
-    rng = np.random.default_rng(5)
-    x = rng.normal(size=200_000)
-    # Drawn from N(0, 1), weighted with p^e: distributed like p^(1+e) = N(0, 1/(1+e)).
-    weights = skew_weights(-0.5 * x**2, -0.5)
-    assert weights.sum() == pytest.approx(1.0)
-    assert np.sum(weights * x**2) == pytest.approx(1.0 / 0.5, rel=0.05)
 
 
 def test_published_entropy_of_a_uniform_density() -> None:
@@ -139,16 +129,16 @@ def test_published_coverage() -> None:
 
 def test_coverage_of_a_full_and_an_empty_space(make_corridor, corridor_config) -> None:
     env = make_corridor()
-    measurement = CoverageMetrics(env.layout, corridor_config.metrics)
-    measurement.set_reachable(env, env.reset()[0, :2])
-    assert measurement.coverage()["covered_cells"] == 0.0
+    coverage = CoverageMetrics(env.layout, corridor_config.task_metrics, corridor_config.metrics)
+    coverage.set_reachable(env, env.reset()[0, :2])
+    assert coverage.coverage()["covered_cells"] == 0.0
     x, y = np.meshgrid(np.linspace(0, 4, 81), np.linspace(0, 4, 81))
     everywhere = np.stack((x.ravel(), y.ravel()), axis=1)
     # Visiting half of the space covers half of its reachable cells.
     half = everywhere[everywhere[:, 0] < 2.0]
-    measurement.add(half[env.reachable(half)])
-    reachable = measurement.reachable.sum()
-    assert measurement.coverage()["covered_cells"] == pytest.approx(0.5, abs=0.08)
-    measurement.add(everywhere[env.reachable(everywhere)])
-    assert measurement.coverage()["covered_cells"] == 1.0
+    coverage.add(half[env.reachable(half)])
+    reachable = coverage.reachable.sum()
+    assert coverage.coverage()["covered_cells"] == pytest.approx(0.5, abs=0.08)
+    coverage.add(everywhere[env.reachable(everywhere)])
+    assert coverage.coverage()["covered_cells"] == 1.0
     assert reachable == 100 - 2 * 7  # the wall is two columns of seven cells

@@ -6,8 +6,6 @@ import numpy as np
 import torch
 
 from skewmi.policy_io import Array
-from skewmi.train.config import TrainConfig
-from skewmi.train.exploration.skew_explore import RewardTerms
 from skewmi.train.inputs import InputNormalizer
 from skewmi.train.replay import Index, Replay, Transitions
 from skewmi.train.sac.sac import Batch
@@ -15,7 +13,7 @@ from skewmi.train.sac.sac import Batch
 
 def relabel(
     drawn: Transitions,
-    replay: Replay,
+    history: Replay,
     proposals: Array,
     future_fraction: float,
     proposal_fraction: float,
@@ -28,18 +26,21 @@ def relabel(
 
     Args:
         drawn: Transitions.
-        replay: Where they came from.
-        proposals: Present goals. Shape (k, state_dim).
+        history: Where they came from.
+        proposals: Present goals. Shape (k, goal_dim); without goals (goal_dim 0) there is
+            nothing to relabel.
         future_fraction: Probability of the first kind.
         proposal_fraction: Probability of the second kind.
         generator: Of the random choices.
 
     Returns:
-        Shape (n, state_dim).
+        Shape (n, goal_dim).
     """
+    if drawn.goal.shape[1] == 0:
+        return drawn.goal.astype(np.float64)
     n = len(drawn.step)
     kind = generator.random(n)[:, None]
-    future = replay.future_states(drawn.episode, drawn.step, generator)
+    future = history.future_states(drawn.episode, drawn.step, generator)
     proposed = proposals[generator.integers(len(proposals), size=n)]
     goals: Array = np.where(
         kind < future_fraction,
@@ -68,17 +69,27 @@ def n_step_return(rewards: Array, length: Index, discount: float) -> Array:
 def make_batch(
     drawn: Transitions,
     goals: Array,
-    terms: RewardTerms,
+    rewards: Array,
     inputs: InputNormalizer,
-    config: TrainConfig,
+    *,
+    discount: float,
+    bootstrap_at_timeout: bool,
     device: torch.device,
 ) -> Batch:
-    """Rewards of all steps with the new goals, summed, as tensors."""
-    sac = config.sac
-    rewards = terms.reward(drawn.states, goals[:, None, :], drawn.log_tau, drawn.rewards)
-    returns = n_step_return(rewards, drawn.length, sac.discount)
-    discounts = sac.discount**drawn.length
-    if not sac.bootstrap_at_timeout:
+    """Transitions with their new goals as tensors, rewards summed.
+
+    Args:
+        drawn: Transitions.
+        goals: Of each. Shape (n, goal_dim).
+        rewards: Of each of its steps, towards that goal. Shape (n, n_step).
+        inputs: Of the networks.
+        discount: Per step.
+        bootstrap_at_timeout: Whether the end of an episode has a future.
+        device: Of the tensors.
+    """
+    returns = n_step_return(rewards, drawn.length, discount)
+    discounts = discount**drawn.length
+    if not bootstrap_at_timeout:
         discounts = np.where(drawn.at_end, 0.0, discounts)
     return Batch(
         inputs=inputs(drawn.observation, goals).to(device),

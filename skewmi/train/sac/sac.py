@@ -13,11 +13,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from skewmi.errors import CheckpointError
-from skewmi.train.config import SacConfig
+from skewmi.train.sac.config import SacConfig
 from skewmi.train.sac.networks import Actor, Critics
+from skewmi.train.state import State
 
 
 @dataclass(frozen=True)
@@ -146,48 +147,39 @@ class Sac:
             "value": values.detach().mean(),
         }
 
-    def state_tensors(self) -> dict[str, Tensor]:
+    def state_dict(self) -> State:
         """Everything that an identical continuation needs, by name."""
-        state = {f"actor.{k}": v for k, v in self.actor.state_dict().items()}
-        state |= {f"critics.{k}": v for k, v in self.critics.state_dict().items()}
-        state |= {f"target.{k}": v for k, v in self.target.state_dict().items()}
-        state["log_temperature"] = self.log_temperature
-        state["generator"] = self.generator.get_state()
-        state["updates"] = torch.tensor(self.updates)
+        state: State = {name: module.state_dict() for name, module in self._modules()}
         for name, optimizer in self._optimizers():
-            for index, entry in optimizer.state_dict()["state"].items():
-                state |= {f"{name}.{index}.{k}": v for k, v in entry.items()}
-        return state
+            moments = optimizer.state_dict()["state"]
+            state[name] = {str(index): dict(entry) for index, entry in moments.items()}
+        return {
+            **state,
+            "log_temperature": self.log_temperature,
+            "generator": self.generator.get_state(),
+            "updates": self.updates,
+        }
 
-    def load_state_tensors(self, state: dict[str, Tensor]) -> None:
-        """Inverse of `state_tensors`.
+    def load_state_dict(self, state: State) -> None:
+        """Inverse of `state_dict`.
 
         Raises:
             CheckpointError: Names or shapes do not fit these networks.
         """
         try:
-            for name, module in (
-                ("actor", self.actor),
-                ("critics", self.critics),
-                ("target", self.target),
-            ):
-                prefix = f"{name}."
-                module.load_state_dict(
-                    {k[len(prefix) :]: v for k, v in state.items() if k.startswith(prefix)}
-                )
+            for name, module in self._modules():
+                module.load_state_dict(state[name])
             self.log_temperature.copy_(state["log_temperature"])
             self.generator.set_state(state["generator"].cpu())
             self.updates = int(state["updates"])
             for name, optimizer in self._optimizers():
-                entries: dict[int, dict[str, Tensor]] = {}
-                for key, value in state.items():
-                    if key.startswith(f"{name}."):
-                        _, index, item = key.split(".")
-                        entries.setdefault(int(index), {})[item] = value
-                whole = optimizer.state_dict()
-                optimizer.load_state_dict({**whole, "state": entries})
+                moments = {int(index): dict(entry) for index, entry in state[name].items()}
+                optimizer.load_state_dict({**optimizer.state_dict(), "state": moments})
         except (KeyError, RuntimeError, ValueError) as error:
             raise CheckpointError(f"the weights do not fit these networks: {error}") from error
+
+    def _modules(self) -> tuple[tuple[str, nn.Module], ...]:
+        return ("actor", self.actor), ("critics", self.critics), ("target", self.target)
 
     def _optimizers(self) -> tuple[tuple[str, torch.optim.Adam], ...]:
         return (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -11,9 +12,10 @@ from torch.distributions import Normal, TransformedDistribution
 from torch.distributions.transforms import TanhTransform
 
 from skewmi.errors import CheckpointError, ConfigurationError
-from skewmi.train.config import SacConfig
+from skewmi.train.sac.config import SacConfig
 from skewmi.train.sac.networks import Actor, Critics
 from skewmi.train.sac.sac import Batch, Sac
+from skewmi.train.state import merge, split
 
 CONFIG = SacConfig(hidden=(32, 32), batch_size=64)
 
@@ -125,7 +127,7 @@ def test_temperature_follows_the_entropy() -> None:
         assert np.sign(float(sac.log_temperature) - before) == sign
 
 
-def test_target_critics_move_by_the_polyak_share() -> None:
+def test_target_critics_move_by_the_polyak_fraction() -> None:
     sac = Sac(CONFIG, 5, 2, seed=0)
     before = [p.clone() for p in sac.target.parameters()]
     sac.update(make_batch())
@@ -139,20 +141,24 @@ def test_state_continues_bit_identically() -> None:
     one, other = Sac(CONFIG, 5, 2, seed=0), Sac(CONFIG, 5, 2, seed=1)
     for k in range(3):
         one.update(make_batch(seed=k))
-    other.load_state_tensors({k: v.clone() for k, v in one.state_tensors().items()})
+    # As through the files of a checkpoint.
+    tensors, rest = split(one.state_dict())
+    stored = {path: tensor.clone() for path, tensor in tensors.items()}
+    other.load_state_dict(merge(stored, json.loads(json.dumps(rest))))
     for k in range(3):
         one.update(make_batch(seed=10 + k))
         other.update(make_batch(seed=10 + k))
-    ours, theirs = one.state_tensors(), other.state_tensors()
+    (ours, counts), (theirs, other_counts) = split(one.state_dict()), split(other.state_dict())
+    assert counts == other_counts
     assert ours.keys() == theirs.keys()
     assert all(torch.equal(ours[k], theirs[k]) for k in ours)
 
 
 def test_state_of_other_networks_is_refused() -> None:
     sac = Sac(CONFIG, 5, 2, seed=0)
-    state = Sac(replace(CONFIG, hidden=(16,)), 5, 2, seed=0).state_tensors()
+    state = Sac(replace(CONFIG, hidden=(16,)), 5, 2, seed=0).state_dict()
     with pytest.raises(CheckpointError, match="do not fit"):
-        sac.load_state_tensors(state)
+        sac.load_state_dict(state)
 
 
 @pytest.mark.parametrize(

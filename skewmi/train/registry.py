@@ -1,0 +1,105 @@
+"""The learners and explorations there are, by name: one line for each.
+
+A new one is a folder or file that satisfies `learner.Learner` or `exploration.protocol
+.Exploration`, a configuration derived from `LearnerConfig` or `ExplorationConfig`, and its line
+here. Command line, checkpoints and runner need to know nothing else about it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from skewmi.errors import ConfigurationError, NotFoundError
+from skewmi.policy_io import PolicyLayout
+from skewmi.train.exploration.protocol import Exploration, ExplorationConfig
+from skewmi.train.exploration.skew_explore import SkewExplore, SkewExploreConfig
+from skewmi.train.learner import Learner, LearnerConfig
+from skewmi.train.sac.config import SacConfig
+from skewmi.train.sac.learner import SacLearner
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One method.
+
+    Attributes:
+        config: Type of its numbers; all have defaults.
+        make: Builds it. A learner from (config, layout, goal_dim, seed, device), an exploration
+            from (config, layout, generator).
+    """
+
+    config: type[Any]
+    make: Callable[..., Any]
+
+
+LEARNERS: dict[str, Entry] = {
+    "sac": Entry(SacConfig, SacLearner),
+}
+EXPLORATIONS: dict[str, Entry] = {
+    "skew-explore": Entry(SkewExploreConfig, SkewExplore),
+}
+
+
+def entry_of(config: LearnerConfig | ExplorationConfig) -> tuple[str, Entry]:
+    """Name and entry of the method that some numbers belong to.
+
+    Raises:
+        ConfigurationError: It is not registered.
+    """
+    entries = LEARNERS if isinstance(config, LearnerConfig) else EXPLORATIONS
+    for name, entry in entries.items():
+        if type(config) is entry.config:
+            return name, entry
+    raise ConfigurationError(
+        f"{type(config).__name__} belongs to no registered method; there are {', '.join(entries)}"
+    )
+
+
+def default_config(entries: Mapping[str, Entry], name: str) -> Any:
+    """The numbers of a method as it brings them.
+
+    Args:
+        entries: `LEARNERS` or `EXPLORATIONS`.
+        name: Of one of them.
+
+    Raises:
+        NotFoundError: There is no such method.
+    """
+    if name not in entries:
+        kind = "learner" if entries is LEARNERS else "exploration"
+        raise NotFoundError(f"no {kind} {name!r}; there are {', '.join(entries)}")
+    return entries[name].config()
+
+
+def make_learner(
+    config: LearnerConfig, layout: PolicyLayout, goal_dim: int, seed: int, device: str
+) -> Learner:
+    """The learner that some numbers belong to.
+
+    Args:
+        config: Its numbers.
+        layout: Of the task.
+        goal_dim: Size of the exploration's goals, 0 if it has none.
+        seed: Of its networks and its own random stream.
+        device: `cpu` or `cuda`.
+    """
+    learner: Learner = entry_of(config)[1].make(config, layout, goal_dim, seed, device)
+    return learner
+
+
+def make_exploration(
+    config: ExplorationConfig, layout: PolicyLayout, generator: np.random.Generator
+) -> Exploration:
+    """The exploration that some numbers belong to.
+
+    Args:
+        config: Its numbers.
+        layout: Of the task.
+        generator: Of the random choices that it begins with.
+    """
+    exploration: Exploration = entry_of(config)[1].make(config, layout, generator)
+    return exploration

@@ -1,0 +1,70 @@
+"""The numbers of soft actor-critic with hindsight."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from skewmi.train.checks import require
+from skewmi.train.learner import LearnerConfig
+
+
+@dataclass(frozen=True)
+class SacConfig(LearnerConfig):
+    """Soft actor-critic (arXiv:1812.05905) on hindsight batches (arXiv:1707.01495)."""
+
+    hidden: tuple[int, ...] = (128, 128)
+    """Units of the hidden layers, ReLU, of actor and critics alike."""
+    layer_norm: bool = True
+    """Normalize each hidden layer of the critics before its ReLU (no learned gain)."""
+    normalize_input: bool = True
+    """Map observation and goal from the layout's ranges to [-1, 1]."""
+    learning_rate: float = 5e-4
+    """Of Adam, for actor, critics and temperature."""
+    discount: float = 0.99
+    """Per control step."""
+    polyak: float = 0.005
+    """Fraction of the critics that moves into the target critics at each update."""
+    batch_size: int = 256
+    """Transitions per update."""
+    n_step: int = 3
+    """Steps of reward summed before the critics take over."""
+    bootstrap_at_timeout: bool = True
+    """Whether the end of an episode, which is only a time limit, has a future."""
+    initial_temperature: float = 0.01
+    """Of the entropy bonus; adapted from there."""
+    target_entropy: float | None = None
+    """Of the squashed policy, nats; None is minus the number of actions."""
+    log_std_min: float = -5.0
+    """Bounds of the policy's log standard deviation before squashing."""
+    log_std_max: float = 2.0
+    """See `log_std_min`."""
+    updates_per_step: float = 0.14
+    """Gradient updates per environment step (of one environment)."""
+    future_fraction: float = 0.5
+    """Fraction of a batch relabelled with a state reached later in the same episode."""
+    proposal_fraction: float = 0.3
+    """Fraction of a batch relabelled with a present proposal; the rest keeps its own goal."""
+    rewarded_fraction: float = 0.25
+    """Fraction of a batch from episodes that met the extrinsic reward, once there are any."""
+    rare_fraction: float = 0.25
+    """Fraction of a batch from the episodes in which the present proposals were met."""
+
+    def __post_init__(self) -> None:
+        require(len(self.hidden) > 0 and min(self.hidden) > 0, f"hidden layers {self.hidden}")
+        require(self.n_step >= 1, f"n_step is {self.n_step}, needs at least 1")
+        require(0.0 < self.discount < 1.0, f"discount is {self.discount}, needs 0 < it < 1")
+        require(self.batch_size >= 1, f"batch_size is {self.batch_size}, needs at least 1")
+        require(
+            self.initial_temperature > 0.0,
+            f"initial_temperature is {self.initial_temperature}, needs to be positive",
+        )
+        future, proposal = self.future_fraction, self.proposal_fraction
+        rewarded, rare = self.rewarded_fraction, self.rare_fraction
+        require(
+            min(future, proposal, rewarded, rare) >= 0.0
+            and future + proposal <= 1.0
+            and rewarded + rare <= 1.0,
+            f"future_fraction {future}, proposal_fraction {proposal}, rewarded_fraction "
+            f"{rewarded} and rare_fraction {rare} must lie in [0, 1]; so must the sum of the "
+            "first two, and of the last two",
+        )

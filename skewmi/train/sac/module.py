@@ -1,0 +1,42 @@
+"""The policy of soft actor-critic as one module, which is what `export` writes."""
+
+from __future__ import annotations
+
+import copy
+
+import torch
+from torch import Tensor, nn
+
+from skewmi.policy_io import Array
+from skewmi.train.inputs import InputNormalizer
+from skewmi.train.sac.networks import Actor
+
+
+class SacPolicyModule(nn.Module):
+    """Raw observation (n, observation_dim) float32 -> action in [-1, 1] (n, action_dim).
+
+    The input normalizer and the goal are constants of the module, so exporting it exports the
+    whole policy. The action is the mode of the squashed policy's Gaussian, tanh(mean). The
+    weights are a copy: the module stays as it is when learning goes on.
+    """
+
+    def __init__(self, actor: Actor, inputs: InputNormalizer, goal: Array) -> None:
+        super().__init__()
+        self.body = copy.deepcopy(actor.body).cpu()
+        self.action_dim = actor.body[-1].out_features // 2  # type: ignore[operator]
+        # In float64 here, so that the folded constants round once only.
+        n = inputs.observation_dim
+        self.register_buffer("center", _single(inputs.center[:n]))
+        self.register_buffer("inverse_half", _single(1.0 / inputs.half[:n]))
+        self.register_buffer("goal", _single((goal - inputs.center[n:]) / inputs.half[n:]))
+
+    def forward(self, observation: Tensor) -> Tensor:
+        scaled = (observation - self.center) * self.inverse_half  # type: ignore[operator]
+        goal: Tensor = self.goal  # type: ignore[assignment]
+        whole = torch.cat((scaled, goal.expand(observation.shape[0], -1)), dim=-1)
+        mean: Tensor = self.body(whole)[:, : self.action_dim]
+        return torch.tanh(mean)
+
+
+def _single(values: Array) -> Tensor:
+    return torch.as_tensor(values, dtype=torch.float32)

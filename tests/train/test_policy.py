@@ -1,0 +1,60 @@
+"""The policy of a run directory."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from skewmi.errors import LayoutMismatchError
+from skewmi.policy_io import Ball
+from skewmi.train.checkpoint import read_checkpoint
+from skewmi.train.policy import load_policy
+from skewmi.train.registry import make_learner
+from skewmi.train.run import run_train
+
+
+def test_policy_of_a_run(tmp_path, make_corridor, corridor_config) -> None:
+    env = make_corridor()
+    run_train(corridor_config, env, tmp_path, progress=False)
+    policy = load_policy(tmp_path)
+    assert policy.layout == env.layout
+    state = read_checkpoint(tmp_path).state
+    np.testing.assert_array_equal(policy.goal, state["evaluation_goal"])
+    observation = np.random.default_rng(0).uniform(0, 4, size=(3, 7, 3))
+    action = policy.act(observation)
+    assert action.shape == (3, 7, 2)
+    assert np.abs(action).max() <= 1.0
+    np.testing.assert_allclose(policy.act(observation[1, 2]), action[1, 2], atol=1e-6)
+    # The very action that training's evaluation episodes take.
+    learner = make_learner(corridor_config.learner, env.layout, 2, 0, "cpu")
+    learner.load_state_dict(state["learner"])
+    flat = observation.reshape(-1, 3)
+    goals = np.broadcast_to(policy.goal, (len(flat), 2))
+    expected = learner.act(flat, goals, None, evaluation=len(flat)).action
+    np.testing.assert_allclose(action.reshape(-1, 2), expected, atol=1e-6)
+    with pytest.raises(LayoutMismatchError, match="2 fields"):
+        policy.act(np.zeros((4, 2)))
+    assert json.loads(json.dumps(policy.metadata))["task"] == "corridor"
+
+
+def test_best_checkpoint_is_the_best_evaluated(tmp_path, make_corridor, corridor_config) -> None:
+    # Every state is rewarded where x < 4, so that evaluation succeeds at once.
+    env = make_corridor()
+    everywhere = replace(env.layout, reward_region=(Ball(("x",), (2.0,), 2.0),))
+    env.layout = everywhere
+    result = run_train(corridor_config, env, tmp_path, progress=False)
+    assert result.evaluation_fraction == 1.0
+    # One evaluated trajectory per iteration of five.
+    assert result.converged_at is None  # six iterations, the criterion wants ten
+    best, latest = read_checkpoint(tmp_path, "best"), read_checkpoint(tmp_path)
+    assert best.path.name.startswith("best-")
+    assert best.state["best_score"] == [1.0, 40.0]
+    assert best.state["step"] <= latest.state["step"]
+    assert load_policy(tmp_path, "best").metadata["evaluation_fraction"] == 1.0
+    longer = replace(corridor_config, total_steps=4000, stop_on_convergence=True)
+    result = run_train(longer, env, tmp_path, resume=True, progress=False)
+    assert result.stopped_by == "convergence"
+    assert result.converged_at == 50
