@@ -20,9 +20,7 @@ class ExplorationNoise:
     policy's habits for long enough to get somewhere, which white noise does not.
 
     Args:
-        num_envs: Episodes.
-        steps: Of each.
-        action_dim: Size of an action.
+        shape: Episodes, steps of each, size of an action.
         probability: That an episode ends so.
         correlation: rho.
         spared: The first so many episodes get none.
@@ -31,15 +29,14 @@ class ExplorationNoise:
 
     def __init__(
         self,
-        num_envs: int,
-        steps: int,
-        action_dim: int,
+        shape: tuple[int, int, int],
         *,
         probability: float,
         correlation: float,
         spared: int,
         generator: np.random.Generator,
     ) -> None:
+        num_envs, steps, action_dim = shape
         self.correlation = correlation
         self.generator = generator
         begin = generator.integers(0, steps, size=num_envs)
@@ -84,9 +81,7 @@ def collect(
     steps, dim = layout.episode_steps, layout.action_dim
     exploration.begin(n, evaluation, generator)
     noise = ExplorationNoise(
-        n,
-        steps,
-        dim,
+        (n, steps, dim),
         probability=noise_probability,
         correlation=noise_correlation,
         spared=evaluation,

@@ -17,6 +17,7 @@ from skewmi.train.checkpoint import (
     write_checkpoint,
     write_run_header,
 )
+from skewmi.train.checks import require
 from skewmi.train.config import TrainConfig
 from skewmi.train.log import MetricsTable, ProgressBar
 from skewmi.train.memory import keep_freed_memory
@@ -78,13 +79,11 @@ def run_train(
 ) -> TrainResult:
     """Train in `run_dir` until a budget is spent or, if asked for, until convergence.
 
-    A run that was interrupted at any moment continues with `resume` exactly as if it had not
-    been: same table but for the times, same weights to the bit (on the same machine and
-    number of threads).
+    A run that was interrupted at any moment continues with `resume` exactly as if it had not been:
+    same table but for the times, same weights to the bit (on the same machine and threads).
 
     Args:
-        config: Everything about the run; when resuming, equal to what the run was started
-            with except for its pace (steps, minutes, stopping, checkpoint interval).
+        config: Everything about the run; when resuming, as the run was started but for its pace.
         env: As many environments as the configuration says.
         run_dir: Created; must not hold a run unless resuming.
         resume: Continue from the latest checkpoint; with none yet, start.
@@ -98,13 +97,7 @@ def run_train(
         LayoutMismatchError: The checkpoint is of another observation or action layout.
     """
     run_dir = Path(run_dir)
-    if env.num_envs != config.rollout.num_envs:
-        raise ConfigurationError(
-            f"the environment has {env.num_envs} copies, the configuration "
-            f"{config.rollout.num_envs}"
-        )
-    if config.device == "cuda" and not torch.cuda.is_available():
-        raise ConfigurationError("device is cuda, but this machine has none; use --device cpu")
+    _require_usable(config, env)
     started = time.monotonic()
     torch.set_num_threads(config.threads)
     keep_freed_memory()
@@ -129,6 +122,18 @@ def run_train(
         stopped_by=stopped_by,
         seconds=time.monotonic() - started,
         metrics=metrics,
+    )
+
+
+def _require_usable(config: TrainConfig, env: BatchEnv) -> None:
+    wanted = config.rollout.num_envs
+    require(
+        env.num_envs == wanted,
+        f"the environment has {env.num_envs} copies, the configuration {wanted}",
+    )
+    require(
+        config.device != "cuda" or torch.cuda.is_available(),
+        "device is cuda, but this machine has none; use --device cpu",
     )
 
 

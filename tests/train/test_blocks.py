@@ -12,6 +12,7 @@ from skewmi.train.blocks import LARGEST, read_blocks, split, write_blocks
 from skewmi.train.replay import Episodes, Replay
 
 
+@settings(deadline=None)
 @given(count=st.integers(0, 20_000), kept=st.integers(1, 20_000))
 def test_blocks_cover_the_live_episodes_once(count: int, kept: int) -> None:
     first = max(0, count - kept)

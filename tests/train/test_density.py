@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import gaussian_kde, multivariate_normal
 
@@ -42,6 +42,7 @@ def test_kernel_density_is_scipys() -> None:
         np.testing.assert_allclose(got, expected, atol=tolerance)
 
 
+@settings(deadline=None)
 @given(
     n=st.integers(1, 40),
     m=st.integers(1, 30),
@@ -103,6 +104,7 @@ def test_trajectory_density_looks_only_back() -> None:
     np.testing.assert_allclose(before, after, atol=1e-4)
 
 
+@settings(deadline=None)
 @given(parts=st.lists(st.integers(1, 20), min_size=1, max_size=6), seed=st.integers(0, 2**31))
 def test_running_mean_and_variance_are_those_of_everything(parts: list[int], seed: int) -> None:
     rng = np.random.default_rng(seed)
