@@ -19,6 +19,8 @@ from skewmi.train.learner import LearnerConfig
 from skewmi.train.presets import DEFAULT, default_preset, preset
 from skewmi.train.registry import EXPLORATIONS, LEARNERS, default_config
 
+_HELP = "Another {} than the preset's, with its own default numbers: {}."
+
 
 @dataclass(frozen=True)
 class Origin:
@@ -30,10 +32,12 @@ class Origin:
     """Task to learn. Not needed with --resume."""
     preset: str = DEFAULT
     """Where all numbers start from: `improved` is ours, `paper` the publication's."""
-    learner: str | None = None
-    """Another learner than the preset's, with its own default numbers: sac."""
-    exploration: str | None = None
-    """Another exploration than the preset's, with its own default numbers: skew-explore."""
+    learner: Annotated[
+        str | None, tyro.conf.arg(help=_HELP.format("learner", ", ".join(LEARNERS)))
+    ] = None
+    exploration: Annotated[
+        str | None, tyro.conf.arg(help=_HELP.format("exploration", ", ".join(EXPLORATIONS)))
+    ] = None
     resume: bool = False
     """Continue the run in the directory, or start it if there is none yet."""
     start_from: Path | None = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +13,7 @@ import torch
 from tiny_methods import CountBonus, CountBonusConfig, Reinforce, ReinforceConfig
 from train_runs import assert_same_checkpoint, assert_same_table
 
+import skewmi.train.runner
 from skewmi.deploy.policy import OnnxPolicy
 from skewmi.errors import ConfigurationError, NotFoundError
 from skewmi.export.onnx_export import TOLERANCE, export_policy
@@ -40,6 +42,18 @@ def on_policy(corridor_config: TrainConfig) -> TrainConfig:
     rollout = replace(corridor_config.rollout, random_steps=0, noise_probability=0.0)
     learner = ReinforceConfig(steps_per_update=3 * 4 * 40)
     return replace(corridor_config, learner=learner, rollout=rollout, total_steps=7 * ITERATION)
+
+
+def test_only_registry_and_presets_name_a_method() -> None:
+    package = Path(skewmi.train.runner.__file__).parent
+    methods = ("skewmi.train.sac", "skewmi.train.exploration.skew_explore")
+    for path in package.rglob("*.py"):
+        place = path.relative_to(package)
+        if place.parts[0] in ("sac", "presets") or path.name in ("registry.py", "skew_explore.py"):
+            continue
+        for node in ast.walk(ast.parse(path.read_text())):
+            imported = node.module if isinstance(node, ast.ImportFrom) else None
+            assert not (imported or "").startswith(methods), f"{place} imports {imported}"
 
 
 def resumes_alike(
