@@ -35,6 +35,7 @@ from common import (
 )
 
 from skewmi.cli.task_flags import variation_option
+from skewmi.cli.train_options import starting_config
 from skewmi.errors import ConfigurationError, SkewmiError
 from skewmi.evaluation.contact import recorder_for, summarise_contact
 from skewmi.evaluation.learning import RunRecord, draw_learning, read_record
@@ -43,7 +44,6 @@ from skewmi.sim import tasks
 from skewmi.train.config import TrainConfig
 from skewmi.train.config_json import to_document
 from skewmi.train.policy import load_policy
-from skewmi.train.presets import preset
 from skewmi.train.run import run_train
 
 TASK = "open_press_close"
@@ -59,7 +59,7 @@ def train_seeds(options: argparse.Namespace, root: Path) -> list[Path]:
     folders = []
     for seed in options.seeds:
         config = replace(
-            preset(TASK, options.preset),
+            starting_config(TASK, options.preset),
             seed=seed,
             threads=options.threads,
             minutes=options.minutes,

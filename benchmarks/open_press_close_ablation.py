@@ -25,11 +25,11 @@ from common import REPOSITORY, argument_parser, print_result, progress, write_re
 from open_press_close import PACE, TASK, comparable, describe, evaluate
 
 from skewmi.cli.train import train
+from skewmi.cli.train_options import starting_config
 from skewmi.errors import SkewmiError
 from skewmi.evaluation.learning import read_record
 from skewmi.train.config import TrainConfig
 from skewmi.train.config_json import to_document
-from skewmi.train.presets import preset
 
 VARIANTS: dict[str, Callable[[TrainConfig], TrainConfig]] = {
     "no rare episodes": lambda c: replace(c, learner=replace(c.learner, rare_fraction=0.0)),
@@ -61,7 +61,7 @@ def differences(config: TrainConfig) -> dict[str, Any]:
         parts = (flat(v, f"{path}.{k}" if path else k) for k, v in value.items())
         return {name: leaf for part in parts for name, leaf in part.items()}
 
-    ours, base = to_document(comparable(config)), to_document(comparable(preset(TASK)))
+    ours, base = to_document(comparable(config)), to_document(comparable(starting_config(TASK)))
     ours["task_options"], base["task_options"] = (
         dict(content["task_options"]) for content in (ours, base)
     )
@@ -77,7 +77,10 @@ def train_variants(options: argparse.Namespace, root: Path) -> list[Path]:
             folder = root / f"{name.replace(' ', '-')}-{seed}"
             progress(f"{name}, seed {seed}: training in {folder}")
             config = replace(
-                change(preset(TASK)), seed=seed, total_steps=options.steps, stop_on_convergence=True
+                change(starting_config(TASK)),
+                seed=seed,
+                total_steps=options.steps,
+                stop_on_convergence=True,
             )
             train(config, folder, resume=True, progress=False)
             folders.append(folder)

@@ -19,12 +19,12 @@ import matplotlib as mpl
 import numpy as np
 from common import argument_parser, print_result, progress, write_result
 
+from skewmi.cli.train_options import starting_config
 from skewmi.sim import tasks
 from skewmi.train.config import TrainConfig
 from skewmi.train.config_json import to_document
 from skewmi.train.history import visited_states
 from skewmi.train.log import read_metrics
-from skewmi.train.presets import preset
 from skewmi.train.run import TrainResult, run_train
 
 mpl.use("Agg")
@@ -93,7 +93,9 @@ def main() -> None:
     parser = argument_parser(__doc__)
     parser.add_argument("--steps", type=int, default=100_000, help="environment steps of each run")
     options = parser.parse_args()
-    config = replace(preset("point_maze", "improved"), seed=options.seed, total_steps=options.steps)
+    config = replace(
+        starting_config("point_maze", "improved"), seed=options.seed, total_steps=options.steps
+    )
     runs: dict[str, dict[str, Any]] = {}
     with tempfile.TemporaryDirectory() as folder:
         folders = {name: Path(folder) / name for name in ("random policy", "Skew-Explore")}

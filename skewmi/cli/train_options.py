@@ -12,6 +12,7 @@ import tyro
 from skewmi.cli.policies import task_options
 from skewmi.cli.task_flags import OptionalTaskName, variation_option
 from skewmi.errors import ConfigurationError
+from skewmi.sim import tasks
 from skewmi.train.checkpoint import read_checkpoint, read_run_header
 from skewmi.train.config import MetricsConfig, RolloutConfig, TrainConfig
 from skewmi.train.exploration.protocol import ExplorationConfig
@@ -97,18 +98,31 @@ def numbers_of(config: TrainConfig) -> Numbers:
     return Numbers(config.learner, config.exploration, config.rollout, config.metrics)
 
 
+def starting_config(task: str, name: str = DEFAULT) -> TrainConfig:
+    """A preset of a task, with what is to be measured in it.
+
+    Raises:
+        NotFoundError: No such task or preset.
+        ConfigurationError: The task's own preset is none.
+    """
+    spec = tasks.find(task)
+    return replace(preset(task, name, spec.presets), task_metrics=spec.metrics)
+
+
 def origin_config(origin: Origin) -> TrainConfig:
     """The configuration that a run's numbers start from: of a run, a preset, or all defaults.
 
     Raises:
-        NotFoundError: No such preset, learner or exploration.
+        NotFoundError: No such task, preset, learner or exploration.
         CheckpointError: The run that is named is none.
     """
     if origin.resume and (origin.run_dir / "config.json").exists():
         return read_run_header(origin.run_dir)[0]
     if origin.start_from is not None:
         return read_run_header(origin.start_from)[0]
-    config = default_preset("") if origin.task is None else preset(origin.task, origin.preset)
+    config = (
+        default_preset("") if origin.task is None else starting_config(origin.task, origin.preset)
+    )
     if origin.learner is not None:
         config = replace(config, learner=default_config(LEARNERS, origin.learner))
     if origin.exploration is not None:
@@ -203,17 +217,13 @@ def begun(options: TrainCommand, config: TrainConfig) -> TrainConfig:
             raise ConfigurationError(
                 f"--option {name}: {value!r} is not a number, a word or true or false"
             )
-    task = {
-        **dict(config.task_options),
-        **given,
-        **variation_option(config.task, options.variation),
-    }
+    varied = variation_option(config.task, options.variation)
     return replace(
         config,
         seed=options.seed,
         device=options.device,
         threads=options.threads,
-        task_options=tuple(task.items()),
+        task_options=tuple({**dict(config.task_options), **given, **varied}.items()),
         learner=numbers.learner,
         exploration=numbers.exploration,
         rollout=rollout,

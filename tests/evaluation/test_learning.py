@@ -15,11 +15,11 @@ import pytest
 import torch
 
 from skewmi.cli.main import main
+from skewmi.cli.train_options import starting_config
 from skewmi.errors import CheckpointError
 from skewmi.evaluation.learning import RunRecord, draw_learning, median_curve, read_record
 from skewmi.sim import tasks
 from skewmi.train.config import TrainConfig
-from skewmi.train.presets import preset
 from skewmi.train.run import run_train
 
 BENCHMARK = Path(__file__).resolve().parents[2] / "benchmarks" / "open_press_close.py"
@@ -28,7 +28,7 @@ STEPS = 800
 
 def short(seed: int) -> TrainConfig:
     """Two iterations of two environments."""
-    config = preset("open_press_close", "improved")
+    config = starting_config("open_press_close", "improved")
     rollout = replace(config.rollout, num_envs=2, evaluation_envs=1)
     return replace(config, seed=seed, rollout=rollout, total_steps=STEPS)
 

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import sys
+from dataclasses import replace
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -83,3 +86,26 @@ def test_a_task_without_presets_starts_from_the_defaults() -> None:
     assert preset("new_task") == default_preset("new_task")
     with pytest.raises(NotFoundError, match="new_task/improved"):
         preset("new_task", "paper")
+
+
+MINE = replace(default_preset("new_task"), preset="mine")
+"""A preset that a task brings from its own package."""
+
+
+def test_a_task_may_bring_presets(monkeypatch: pytest.MonkeyPatch) -> None:
+    module = ModuleType("new_task_presets")
+    module.MINE, module.OTHER = MINE, 3  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    elsewhere = {"mine": "new_task_presets:MINE", "bad": "new_task_presets:OTHER"}
+    assert preset("new_task", "mine", elsewhere) is MINE
+    with pytest.raises(NotFoundError, match="new_task/mine, new_task/bad"):
+        preset("new_task", "improved", elsewhere)
+    with pytest.raises(ConfigurationError, match="no training configuration of task 'new_task'"):
+        preset("new_task", "bad", elsewhere)
+    with pytest.raises(ConfigurationError, match="no training configuration of task 'another'"):
+        preset("another", "mine", elsewhere)
+    with pytest.raises(ConfigurationError, match="nowhere"):
+        preset("new_task", "lost", {"lost": "nowhere:MINE"})
+    # What this package has is not replaced.
+    maze = preset("point_maze")
+    assert preset("point_maze", "improved", {"improved": "new_task_presets:MINE"}) is maze

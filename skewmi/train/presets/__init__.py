@@ -1,13 +1,16 @@
 """Starting points of runs, by task and name.
 
 `paper` is faithful to the publication, `improved` is ours and the default. Each task's are in a
-file of their own, which is the only place in `train` that may name it; a task without any of its
-own starts from the defaults of every number.
+file of their own, which is the only place in `train` that may name it; a task without any starts
+from the defaults of every number. What is measured in a task it says itself: it is not in here.
 """
 
 from __future__ import annotations
 
-from skewmi.errors import NotFoundError
+import importlib
+from collections.abc import Mapping
+
+from skewmi.errors import ConfigurationError, NotFoundError
 from skewmi.train.config import TrainConfig
 from skewmi.train.presets import open_press_close, point_maze
 from skewmi.train.registry import EXPLORATIONS, LEARNERS, default_config
@@ -35,21 +38,44 @@ def default_preset(task: str) -> TrainConfig:
     )
 
 
-def names(task: str) -> tuple[str, ...]:
-    """Names of a task's presets."""
-    return tuple(name for t, name in PRESETS if t == task) or (DEFAULT,)
+def names(task: str, elsewhere: Mapping[str, str] | None = None) -> tuple[str, ...]:
+    """Names of a task's presets, see `preset`."""
+    own = [name for t, name in PRESETS if t == task]
+    return tuple(dict.fromkeys((*own, *(elsewhere or ())))) or (DEFAULT,)
 
 
-def preset(task: str, name: str = DEFAULT) -> TrainConfig:
+def preset(
+    task: str, name: str = DEFAULT, elsewhere: Mapping[str, str] | None = None
+) -> TrainConfig:
     """The configuration to start from.
+
+    Args:
+        task: Name of the task.
+        name: Of the preset.
+        elsewhere: Where the task has presets beside those of this package: by name
+            `package.module:ATTRIBUTE`, a `TrainConfig`.
 
     Raises:
         NotFoundError: The task has presets, but none of this name; the message lists them.
+        ConfigurationError: There is no configuration where the task says that it has one.
     """
-    known = names(task)
+    if (task, name) in PRESETS:
+        return PRESETS[task, name]
+    known = names(task, elsewhere)
     if name not in known:
         raise NotFoundError(
             f"no preset {name!r} for task {task!r}; presets are "
             + ", ".join(f"{task}/{known_name}" for known_name in known)
         )
-    return PRESETS.get((task, name)) or default_preset(task)
+    return _load(task, elsewhere[name]) if elsewhere else default_preset(task)
+
+
+def _load(task: str, where: str) -> TrainConfig:
+    module, _, attribute = where.partition(":")
+    try:
+        config = getattr(importlib.import_module(module), attribute)
+    except (ImportError, AttributeError) as error:
+        raise ConfigurationError(f"preset of task {task!r} at {where}: {error}") from error
+    if not isinstance(config, TrainConfig) or config.task != task:
+        raise ConfigurationError(f"{where} is no training configuration of task {task!r}")
+    return config

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from skewmi.batch_env import Condition, Event, GridAxis, TaskMetrics
 from skewmi.train.config import MetricsConfig, TrainConfig
 from skewmi.train.exploration.skew_explore import SkewExploreConfig
 from skewmi.train.presets.shared import PAPER_EXPLORATION, PAPER_ROLLOUT, PAPER_SAC
@@ -12,27 +11,11 @@ from skewmi.train.sac.config import SacConfig
 
 _TASK = "open_press_close"
 _LID, _BUTTON = "lid_angle", "button_depth"
-_METRICS = TaskMetrics(
-    # The code's grid for this task has one point per hand and gripper axis; its metrics are
-    # about lid and button.
-    grid=(GridAxis(_LID, 0.0, 2.5, 10), GridAxis(_BUTTON, 0.0, 0.03, 5)),
-    unit_range=True,
-    events=(
-        Event("lid above 30 degrees", (Condition(_LID, low=0.5236),)),
-        Event("lid above 90 degrees", (Condition(_LID, low=1.5708),)),
-        Event("button pressed", (Condition(_BUTTON, low=0.010),)),
-        Event(
-            "lid below 15 degrees after pressing",
-            (Condition(_BUTTON, low=0.010), Condition(_LID, high=0.2618)),
-        ),
-    ),
-)
 PRESETS = (
     TrainConfig(
         task=_TASK,
         preset="paper",
         task_options=(("gripper_action", True), ("time_input", True)),
-        task_metrics=_METRICS,
         total_steps=5_000_000,
         learner=PAPER_SAC,
         exploration=replace(PAPER_EXPLORATION, trajectory_bandwidth=0.2, history_bandwidth=0.11),
@@ -43,7 +26,6 @@ PRESETS = (
         task=_TASK,
         preset="improved",
         task_options=(("time_input", True),),
-        task_metrics=_METRICS,
         total_steps=2_000_000,
         learner=SacConfig(target_entropy=-1.5),
         # What goals should differ in is the lid; x spans 20 mm of the hand's box, and the fingers

@@ -4,26 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from skewmi.batch_env import Condition, Event, GridAxis, TaskMetrics
 from skewmi.train.config import TrainConfig
 from skewmi.train.exploration.skew_explore import SkewExploreConfig
 from skewmi.train.presets.shared import PAPER_EXPLORATION, PAPER_ROLLOUT, PAPER_SAC
 from skewmi.train.sac.config import SacConfig
 
 _TASK = "point_maze"
-_METRICS = TaskMetrics(
-    grid=(GridAxis("x", -12.0, 4.0, 50), GridAxis("y", -6.0, 6.0, 50)),
-    events=(
-        Event("left half", (Condition("x", high=-5.0),)),
-        Event("left corridor", (Condition("x", high=-7.0), Condition("y", -2.0, 2.0))),
-    ),
-)
 PRESETS = (
     TrainConfig(
         task=_TASK,
         preset="paper",
         task_options=(("time_input", True),),
-        task_metrics=_METRICS,
         total_steps=1_000_000,
         learner=PAPER_SAC,
         exploration=replace(
@@ -41,7 +32,6 @@ PRESETS = (
         task=_TASK,
         preset="improved",
         task_options=(("time_input", True),),
-        task_metrics=_METRICS,
         total_steps=500_000,
         learner=SacConfig(
             updates_per_step=0.14,
