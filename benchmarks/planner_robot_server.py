@@ -16,9 +16,11 @@ from planner_timing import Pace, StageTimes, percentiles
 
 from skewmi.deploy.motion.planner import Planner
 from skewmi.deploy.realtime import hot_loop
+from skewmi.deploy.robot.backend import RobotState
 from skewmi.deploy.robot.backends.mujoco.backend import MujocoBackend
 from skewmi.deploy.robot.controller import RobotController
-from skewmi.deploy.robot.run import limit_check
+from skewmi.deploy.robot.requests import RobotRequests
+from skewmi.deploy.safety.checks import limit_check
 from skewmi.deploy.safety.validation import ChunkValidator, ValidationRules
 from skewmi.deploy.wire.messages import (
     JointStates,
@@ -31,7 +33,6 @@ from skewmi.trajectory import CYCLE_S, CYCLE_TICKS, GRID_NS, GRID_S, TrajectoryC
 
 GID = bytes(range(16))
 LEAD_TICKS = 5
-FIRST_TICK = 1_000
 
 
 def plan_chunks(workspace: Workspace, profile: str, cycles: int, seed: int) -> list[bytes]:
@@ -46,7 +47,7 @@ def plan_chunks(workspace: Workspace, profile: str, cycles: int, seed: int) -> l
             target = planner.command_position + rng.uniform(-0.015, 0.015, 3)
             planner.set_target(np.clip(target, workspace.low, workspace.high), 0.1)
         chunk = planner.step()
-        stamp_ns = (FIRST_TICK + LEAD_TICKS + CYCLE_TICKS * cycle) * GRID_NS
+        stamp_ns = (LEAD_TICKS + CYCLE_TICKS * cycle) * GRID_NS
         messages.append(encode_chunk(TrajectoryChunk.of(stamp_ns, names, chunk)))
     return messages
 
@@ -57,38 +58,40 @@ def measure_robot_server(seconds: float, seed: int, profile: str = "lab") -> dic
     Raises:
         RuntimeError: A chunk was refused: then nothing was measured that matters.
     """
-    backend = MujocoBackend()
-    workspace = backend.layout.workspace
-    assert workspace is not None
+    # It neither sleeps nor waits: the benchmark's own pace does.
+    backend = MujocoBackend(lock_step=True)
+    backend.open(lambda: True)
+    workspace = backend.scene.workspace
     bounds = limits.profile(profile)
     cycles = round(seconds / CYCLE_S)
     messages = plan_chunks(workspace, profile, cycles, seed)
     rules = ValidationRules(joint_names=backend.joint_names, grid_ns=GRID_NS)
     validator = ChunkValidator(rules, limit_check(bounds, workspace))
-    controller = RobotController(backend, validator, first_tick=FIRST_TICK)
+    controller = RobotController(backend, validator)
     times = StageTimes()
-    times.watch(backend, "step", "physics")
+    times.watch(backend.simulation, "step", "physics")
     ticks: list[tuple[float, float]] = []
     with hot_loop(priority=True) as granted:
-        controller.arm(GID, time.monotonic_ns())
+        _cycle(backend, controller)
+        RobotRequests(backend, controller).arm(GID, time.monotonic_ns())
         pace = Pace(GRID_S)
-        for tick in range(cycles * CYCLE_TICKS):
+        for tick in range(1, 1 + cycles * CYCLE_TICKS):
             pace.wait()
             cpu, wall = time.thread_time(), time.perf_counter()
+            state = _cycle(backend, controller)
             if tick % CYCLE_TICKS == 0:
                 with times.of("states"):
-                    _encode_states(controller)
+                    _encode_states(backend, controller.clock_ns, state)
             if tick % CYCLE_TICKS == 1:
                 cycle = tick // CYCLE_TICKS
                 with times.of("chunk"):
                     controller.receive(messages[cycle], GID, cycle + 1, time.monotonic_ns())
-            controller.step(time.monotonic_ns())
             ticks.append((time.perf_counter() - wall, time.thread_time() - cpu))
             pace.done()
             times.end_round()
     if controller.accepted != cycles:
-        refused = cycles - controller.accepted
-        raise RuntimeError(f"{refused} chunks refused, the first: {controller.refusals[0].reason}")
+        refused, first = cycles - controller.accepted, controller.refusals.take()[0]
+        raise RuntimeError(f"{refused} chunks refused, the first: {first.reason}")
     physics = times.rounds["physics"]
     rest = [(w - p, 0.0) for (w, _), (p, _) in zip(ticks, physics, strict=True)]
     return {
@@ -102,20 +105,19 @@ def measure_robot_server(seconds: float, seed: int, profile: str = "lab") -> dic
     }
 
 
-def _encode_states(controller: RobotController) -> None:
+def _cycle(backend: MujocoBackend, controller: RobotController) -> RobotState:
+    state = backend.read()
+    assert state is not None
+    controller.cycle(state, time.monotonic_ns())
+    return state
+
+
+def _encode_states(backend: MujocoBackend, stamp_ns: int, state: RobotState) -> None:
     """Joint and scene states as the server publishes them."""
-    measured = controller.measure()
-    stamp_ns, nothing = controller.clock_ns, measured.scene_position[:0]
-    for states in (
-        JointStates(
-            stamp_ns,
-            measured.scene_names,
-            measured.scene_position,
-            measured.scene_velocity,
-            nothing,
-        ),
-        JointStates(
-            stamp_ns, measured.names, measured.position, measured.velocity, measured.effort
-        ),
-    ):
-        encode_joint_states(states)
+    scene = backend.scene.state()
+    nothing = scene.position[:0]
+    told = JointStates(stamp_ns, scene.names, scene.position, scene.velocity, nothing)
+    encode_joint_states(told)
+    names = backend.state_names
+    joints = JointStates(stamp_ns, names, state.position, state.velocity, state.effort)
+    encode_joint_states(joints)

@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 from rich.console import Console
@@ -24,6 +24,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from skewmi.cli.interrupt import signals_to_handle
+from skewmi.cli.robot_flags import RobotName
 from skewmi.cli.task_flags import variation_option
 from skewmi.contact import QUANTITIES
 from skewmi.deploy import run as deploy_run
@@ -40,11 +41,10 @@ class DeployCommand:
 
     policy: Annotated[Path, tyro.conf.Positional]
     """Policy file written by `skewmi export-onnx`."""
-    robot: Literal["sim"] = "sim"
-    """Which robot: the simulated YuMi."""
+    robot: RobotName = "sim"
+    """Which robot to start for this run, unless --connect or --zenoh-config names one that runs."""
     connect: str | None = None
-    """Zenoh locator of a running `skewmi robot`, such as tcp/127.0.0.1:7447; without it and
-    without --zenoh-config a simulated robot is started for this run."""
+    """Zenoh locator of a running `skewmi robot`, such as tcp/127.0.0.1:7447."""
     variation: str | None = None
     """How the simulated robot that is started and its scene differ from the nominal ones: a
     variation file (YAML), or the name of one that comes with the task, as `randomised`. Each
@@ -101,6 +101,7 @@ def deploy_policy(options: DeployCommand) -> DeployReport:
             DeployOptions(
                 episodes=options.episodes,
                 seed=options.seed,
+                robot=options.robot,
                 connect=options.connect,
                 variation=variation,
                 lock_step=options.lock_step,

@@ -18,14 +18,15 @@ from dataclasses import dataclass, field
 from logging.handlers import QueueHandler, QueueListener
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Literal
 
 from rich.console import Console
 
 from skewmi.cli.interrupt import signals_to_handle
+from skewmi.cli.robot_flags import RobotName
 from skewmi.cli.task_flags import TaskName
+from skewmi.deploy.robot.backends import BackendOptions
 from skewmi.deploy.robot.description import RobotDescription
-from skewmi.deploy.robot.run import SimulatedRobotOptions, run_simulated_robot
+from skewmi.deploy.robot.run import serve_robot
 from skewmi.deploy.wire.transport import TransportConfig
 from skewmi.robot_models import limits as joint_limits
 from skewmi.sim import tasks
@@ -35,8 +36,8 @@ from skewmi.sim import tasks
 class RobotCommand:
     """Options of `skewmi robot`."""
 
-    backend: Literal["sim"] = "sim"
-    """What the robot is: the simulated YuMi."""
+    backend: RobotName = "sim"
+    """What the robot is: the simulated YuMi, or one that holds what it is commanded."""
     task: TaskName = field(default_factory=tasks.default)
     """Whose scene stands in front of the robot."""
     variation: str | None = None
@@ -46,6 +47,8 @@ class RobotCommand:
     """Zenoh locator to listen on; by default what --zenoh-config says, else tcp/127.0.0.1:7447."""
     limits: str = "lab"
     """Joint limit profile to enforce (lab, careful); none is verified on hardware."""
+    delay_ms: float | None = None
+    """From a command to the state that shows it, ms: with `--backend hold`."""
     lock_step: bool = False
     """Advance only when the session's chunk has arrived: as fast as possible, repeatable."""
     zenoh_config: Path | None = None
@@ -73,8 +76,9 @@ def run_robot(options: RobotCommand) -> int:
         if options.json:
             print(description.to_json(), flush=True)
         pace = "lock-step" if options.lock_step else "real time"
+        scene = f" ({description.task})" if description.task else ""
         console.print(
-            f"[bold]simulated YuMi[/] ({options.task}) listens on {config.where}: {pace}, "
+            f"[bold]robot {description.backend!r}[/]{scene} listens on {config.where}: {pace}, "
             f"limits {profile.name}, disarmed. Ctrl-C ends it.",
             highlight=False,
         )
@@ -86,9 +90,16 @@ def run_robot(options: RobotCommand) -> int:
             )
 
     with _log_told(console):
-        run_simulated_robot(
+        serve_robot(
+            options.backend,
+            BackendOptions(
+                task=options.task,
+                variation=options.variation,
+                lock_step=options.lock_step,
+                delay_s=None if options.delay_ms is None else options.delay_ms / 1e3,
+            ),
             config,
-            SimulatedRobotOptions(profile, options.task, options.lock_step, options.variation),
+            profile,
             stop,
             on_ready=ready,
         )

@@ -17,9 +17,11 @@ class DeployOptions:
     """How many."""
     seed: int = 0
     """Of the start positions; episode k of two runs with one seed starts alike."""
+    robot: str = "sim"
+    """Which robot to start, of `deploy.robot.backends`, unless one runs already."""
     connect: str | None = None
-    """Zenoh locator of a running robot server; None without `zenoh_config` starts a simulated one
-    and ends it afterwards."""
+    """Zenoh locator of a running robot server; None without `zenoh_config` starts one and ends it
+    afterwards."""
     variation: str | None = None
     """Model variation of the simulated robot that is started; not together with `connect` or
     `zenoh_config`."""

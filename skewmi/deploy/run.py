@@ -14,7 +14,7 @@ from skewmi.deploy.recording.recorder import Recorder
 from skewmi.deploy.replay.live import LiveView
 from skewmi.deploy.report import DeployReport
 from skewmi.deploy.robot.description import SCENE_REQUEST, RobotDescription, limit_values
-from skewmi.deploy.robot.process import simulated_robot_process
+from skewmi.deploy.robot.process import spawn_robot
 from skewmi.deploy.session.connect import connect
 from skewmi.deploy.session.pace import planning_limits
 from skewmi.deploy.session.preflight import require_workspace
@@ -58,7 +58,7 @@ def run_deploy(
     require_workspace(policy.layout)
     report = DeployReport(
         task=policy.layout.task,
-        robot=options.connect or str(options.zenoh_config or "sim"),
+        robot=options.connect or str(options.zenoh_config or options.robot),
         limit_profile=profile.name,
         speed=options.speed,
         lock_step=options.lock_step,
@@ -70,8 +70,9 @@ def run_deploy(
     if options.connect is not None or options.zenoh_config is not None:
         server = nullcontext(options.connect)
     else:
-        tell("starting the simulated robot in its own process")
-        server = simulated_robot_process(
+        tell(f"starting the robot {options.robot!r} in its own process")
+        server = spawn_robot(
+            options.robot,
             policy.layout.task,
             profile.name,
             lock_step=options.lock_step,

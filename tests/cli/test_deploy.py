@@ -18,7 +18,7 @@ from tiny_policy import write_policy
 from skewmi.cli.deploy import print_report
 from skewmi.cli.main import main
 from skewmi.deploy.report import DeployReport
-from skewmi.deploy.robot.process import simulated_robot_process
+from skewmi.deploy.robot.process import spawn_robot
 from skewmi.sim.tasks.open_press_close.definition import make_layout
 
 
@@ -119,7 +119,7 @@ def test_bad_flags_are_one_line(
 def test_run_that_was_stopped_exits_1_and_tells_why(
     tiny: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with simulated_robot_process("open_press_close", "lab", lock_step=False) as locator:
+    with spawn_robot("sim", "open_press_close", "lab", lock_step=False) as locator:
         stopper = threading.Timer(3.0, lambda: main(["stop", "--json", "--connect", locator]))
         stopper.start()
         arguments = ["deploy", str(tiny), "--connect", locator, "--episodes", "2", "--json"]

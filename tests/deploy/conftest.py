@@ -6,16 +6,16 @@ from collections.abc import Iterator
 
 import pytest
 
-from skewmi.deploy.robot.process import simulated_robot_process
+from skewmi.deploy.robot.process import spawn_robot
 
 
 @pytest.fixture(scope="module")
 def lock_step_robot() -> Iterator[str]:
-    with simulated_robot_process("open_press_close", "lab", lock_step=True) as locator:
+    with spawn_robot("sim", "open_press_close", "lab", lock_step=True) as locator:
         yield locator
 
 
 @pytest.fixture(scope="module")
 def robot() -> Iterator[str]:
-    with simulated_robot_process("open_press_close", "lab", lock_step=False) as locator:
+    with spawn_robot("sim", "open_press_close", "lab", lock_step=False) as locator:
         yield locator

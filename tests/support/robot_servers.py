@@ -9,9 +9,10 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
+from skewmi.deploy.robot.backends import BackendOptions
 from skewmi.deploy.robot.description import RobotDescription, limit_values
 from skewmi.deploy.robot.process import free_port
-from skewmi.deploy.robot.run import SimulatedRobotOptions, run_simulated_robot
+from skewmi.deploy.robot.run import serve_robot
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.transport import Link, TransportConfig
 from skewmi.robot_models import limits as joint_limits
@@ -53,9 +54,9 @@ def robot_in_a_thread(*, lock_step: bool = False) -> Iterator[str]:
     locator = f"tcp/127.0.0.1:{free_port()}"
     config = TransportConfig.for_robot(locator, lock_step=lock_step)
     stop, ready = threading.Event(), threading.Event()
-    options = SimulatedRobotOptions(joint_limits.profile("lab"), lock_step=lock_step)
+    options = BackendOptions(lock_step=lock_step)
     thread = threading.Thread(
-        target=run_simulated_robot, args=(config, options, stop, lambda _: ready.set())
+        target=serve_robot, args=("sim", options, config, LAB, stop, lambda _: ready.set())
     )
     thread.start()
     assert ready.wait(20.0)

@@ -1,15 +1,22 @@
-"""What every robot server has in common: the contract of a backend."""
+"""What a robot is to its server: a cycle of its own, a state, a command; and the scene before it.
+
+The robot is the master of its time. `read` waits for its next cycle, whether that is a simulation
+that sleeps until a step is due or a controller whose packet arrives; `write` answers it. The server
+does the rest in between: read, decide, write, and only then publish and serve.
+
+A backend is one folder (or file) of `backends` and one line of its registry.
+"""
 
 from __future__ import annotations
 
 import secrets
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
 from skewmi.errors import SkewmiError
-from skewmi.policy_io import Array
-from skewmi.trajectory import GRID_NS, JointPoint
+from skewmi.policy_io import Array, Workspace
+from skewmi.trajectory import JointPoint
 
 _CLOCK_STARTS_S = (1 << 28, 1 << 30)
 """Range of the clock's start, s: it fits a ROS time stamp for decades to come."""
@@ -19,65 +26,67 @@ class BackendFaultError(SkewmiError):
     """The robot itself cannot go on; the robot server goes to fault with this reason."""
 
 
-@dataclass(frozen=True)
-class Measurement:
-    """What the robot measures at one tick.
+@dataclass(frozen=True, slots=True)
+class RobotState:
+    """What a robot measures in one cycle. The arrays are not written to afterwards.
 
     Attributes:
-        names: The seven arm joints in chain order, then the finger.
-        position: rad, and m for fingers. Shape (n,).
+        time_ns: Of the cycle, by the robot's own clock since `open`; never goes back. Cycles that
+            were lost are left out: the plan goes on in the robot's time.
+        position: The arm's joints, then what else `state_names` names; rad, m for fingers.
+            Shape (n,).
         velocity: rad/s and m/s. Shape (n,).
         effort: N m and N. Shape (n,).
-        scene_names: Names of the scene's joints; empty without a scene.
-        scene_position: rad or m. Shape (len(scene_names),).
-        scene_velocity: rad/s or m/s. Shape (len(scene_names),).
+        guided: Whether the arm follows what is written. While it does not (motors off, moved by
+            hand), it is commanded to stay where it is measured.
+    """
+
+    time_ns: int
+    position: Array
+    velocity: Array
+    effort: Array
+    guided: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class SceneState:
+    """What is measured of a scene at one time.
+
+    Attributes:
+        names: Of its joints.
+        position: rad or m. Shape (len(names),).
+        velocity: rad/s or m/s. Shape (len(names),).
     """
 
     names: tuple[str, ...]
     position: Array
     velocity: Array
-    effort: Array
-    scene_names: tuple[str, ...]
-    scene_position: Array
-    scene_velocity: Array
 
 
-class RobotBackend(Protocol):
-    """A robot that follows one joint target every 4 ms. Used by the robot server's loop alone."""
+class Scene(Protocol):
+    """What stands before a robot. A robot may lack one; then it serves no task."""
 
-    name: str
-    """What `describe` tells: `sim`, ..."""
-    joint_names: tuple[str, ...]
-    """The seven arm joints in chain order."""
     task: str
-    """The task the scene belongs to."""
+    """The task that it belongs to."""
     layout_hashes: tuple[str, ...]
     """Every variant of the task's layout that this scene serves (with and without time, ...)."""
-    scene_json: str
+
+    @property
+    def workspace(self) -> Workspace | None:
+        """Box of the hand in the task, which motion that is inside must not leave."""
+
+    shapes_json: str
     """Shapes around the robot for replays, as `SceneGeometry.to_json`; empty if unknown."""
-    simulated: bool
-    """Whether the scene can be reset by a message."""
+    resettable: bool
+    """Whether `reset` does anything: simulated scenes."""
+
+    def state(self) -> SceneState | None:
+        """Joints of the scene in the newest cycle; None if somebody else publishes them."""
 
     def contact(self) -> Mapping[str, float]:
-        """Largest of `skewmi.contact.QUANTITIES` since the scene's last reset; empty if unknown."""
+        """Largest of `skewmi.contact.QUANTITIES` since the last reset; empty if unknown."""
 
-    def arm_position(self) -> Array:
-        """Measured arm joints alone, rad, chain order. Shape (7,)."""
-
-    def measure(self) -> Measurement:
-        """Present state; the arrays are not written to afterwards."""
-
-    def step(self, target: JointPoint) -> None:
-        """Follow `target` for one grid interval.
-
-        Raises:
-            BackendFaultError: The robot cannot.
-        """
-
-    def open_gripper(self, opening: float) -> None:
-        """Move each finger to `opening` m from closed, from the next step on."""
-
-    def reset_scene(self, seed: int) -> Array:
+    def reset(self, seed: int) -> Array:
         """Start the episode `seed` says; returns where the arm rests now, shape (7,), rad.
 
         Raises:
@@ -85,12 +94,89 @@ class RobotBackend(Protocol):
         """
 
 
-def fresh_tick() -> int:
-    """A tick for a robot server's clock to start from, on a full second.
+class RobotBackend(Protocol):
+    """One arm, in cycles. Used by the robot server's loop alone: one thread, nothing waits."""
+
+    name: str
+    """What `describe` tells, and what the registry calls it: `sim`, ..."""
+    joint_names: tuple[str, ...]
+    """The seven arm joints in chain order."""
+    state_names: tuple[str, ...]
+    """Of the joints in a `RobotState`: the arm's, then the finger if there is one."""
+    period_ns: int
+    """Nominal time between two cycles, ns."""
+    lock_step: bool
+    """Whether time stands still until commands have arrived."""
+
+    @property
+    def slips(self) -> int:
+        """How often cycles were left out because the server came too late."""
+
+    @property
+    def scene(self) -> Scene | None:
+        """What stands before it, if the robot knows."""
+
+    def open(self, may_advance: Callable[[], bool]) -> None:
+        """Begin; the first cycle is at time 0.
+
+        Args:
+            may_advance: Whether there is something to do in the next cycles; asked by a robot in
+                lock-step, whose time stands still otherwise.
+
+        Raises:
+            TransportError: The robot cannot be reached.
+        """
+
+    def readiness(self) -> str | None:
+        """What is missing before the arm can be commanded, in words; None if nothing is."""
+
+    def read(self) -> RobotState | None:
+        """Wait for the next cycle, a few milliseconds at most.
+
+        Returns:
+            The state; None if there was no cycle in this time. In lock-step a state may come again
+            with the time of the last one, measured anew.
+
+        Raises:
+            BackendFaultError: The robot cannot go on, and there is no state. What is wrong in a
+                cycle that has one is raised by the `write` that answers it.
+        """
+
+    def write(self, command: JointPoint) -> None:
+        """Command what is to hold from this cycle on. Called once after each `read` that gave a
+        state, also while deactivated: then with the point at which the arm rests.
+
+        Raises:
+            BackendFaultError: Something is wrong with the robot; it follows if it can.
+        """
+
+    def activate(self) -> None:
+        """Somebody has armed: commands will move the arm.
+
+        Raises:
+            CommandRefusedError: Not now.
+        """
+
+    def deactivate(self) -> None:
+        """The arm rests, and nobody commands it any more."""
+
+    def open_gripper(self, opening: float) -> None:
+        """Move each finger to `opening` m from closed, from the next cycle on.
+
+        Raises:
+            CommandRefusedError: Not an opening of the fingers, or there are none.
+        """
+
+    def close(self) -> None:
+        """End; nothing else is called afterwards."""
+
+
+def fresh_start_ns() -> int:
+    """A time for a robot server's clock to start from, on a full second, ns.
 
     Drawn at random, so that what was recorded from one run of a robot server (a bag that somebody
     plays, a captured message) is never due in another: its stamps are years away. The time of
     day would not do, because robots without a clock battery start again at the same time.
     """
     low_s, high_s = _CLOCK_STARTS_S
-    return (low_s + secrets.randbelow(high_s - low_s)) * 1_000_000_000 // GRID_NS
+    return (low_s + secrets.randbelow(high_s - low_s)) * 1_000_000_000

@@ -1,73 +1,76 @@
-"""Which joint target is due at which tick: the robot server's plan on its own 4 ms grid."""
+"""Which joint target is due when: the robot server's plan."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from skewmi.trajectory import Array, JointPoint, JointTrajectory
+from skewmi.trajectory import GRID_NS, Array, JointPoint, JointTrajectory
 
 REMEMBERED = 3
-"""Samples before the one that is due next that are kept: third differences reach so far back."""
+"""Samples before the present time that are kept: third differences reach so far back."""
 
 
 class PlanExecutor:
-    """Samples of the accepted plan by tick; at rest before its first and after its last sample.
+    """The accepted plan in the robot server's time; at rest before its start and after its end.
 
-    The plan is what accepted chunks, laid over one another, say: a chunk replaces every sample
-    from its first tick on, so that its braking tail replaces the older one. Since every chunk
-    ends at rest, so does the plan, whatever happens to the commander.
+    The plan is what accepted chunks, laid over one another, say: a chunk replaces all that would
+    come from its stamp on, so that its braking tail replaces the older one. Since every chunk ends
+    at rest, so does the plan, whatever happens to the commander.
+
+    Its samples lie on the grid; it can be asked for any time, so that a robot's cycle may be any.
 
     Args:
         q: Where the arm rests now, rad. Shape (n_joints,).
-        tick: The tick that is due next.
+        now_ns: The server's clock.
     """
 
-    def __init__(self, q: Array, tick: int = 0) -> None:
-        self.rest_at(q, tick)
+    def __init__(self, q: Array, now_ns: int = 0) -> None:
+        self.rest_at(q, now_ns)
 
-    def rest_at(self, q: Array, tick: int) -> None:
+    def rest_at(self, q: Array, now_ns: int) -> None:
         """Forget the plan and stay at `q`, shape (n_joints,), rad."""
-        self._first_tick = tick
+        self._start_ns = now_ns - now_ns % GRID_NS
         self._samples = JointTrajectory.resting(q, 1)
 
     @property
-    def last_tick(self) -> int:
-        """The tick of the plan's last sample, from which on the arm rests."""
-        return self._first_tick + len(self._samples) - 1
+    def end_ns(self) -> int:
+        """When the plan's last sample is due, from which on the arm rests."""
+        return self._start_ns + (len(self._samples) - 1) * GRID_NS
 
-    def at_rest(self, tick: int) -> bool:
-        """Whether the plan has been followed to its end at `tick`."""
-        return tick >= self.last_tick
+    def at_rest(self, time_ns: int) -> bool:
+        """Whether the plan has been followed to its end at a time."""
+        return time_ns >= self.end_ns
 
-    def point(self, tick: int) -> JointPoint:
-        """What is commanded at `tick`. The arrays must not be written to."""
-        return self._samples.point(tick - self._first_tick)
+    def at(self, time_ns: int) -> JointPoint:
+        """What is commanded at a time. The arrays must not be written to."""
+        return self._samples.at(time_ns - self._start_ns)
 
-    def before(self, tick: int) -> Array:
-        """Positions at the `REMEMBERED` ticks before `tick`, oldest first, rad.
+    def before(self, time_ns: int) -> Array:
+        """Positions at the `REMEMBERED` grid steps before a time, oldest first, rad.
 
         Args:
-            tick: Not before the one that is due next.
+            time_ns: Not before the server's clock.
 
         Returns:
             Shape (REMEMBERED, n_joints).
         """
-        return np.array([self.point(tick - age).q for age in range(REMEMBERED, 0, -1)])
+        return np.array([self.at(time_ns - age * GRID_NS).q for age in range(REMEMBERED, 0, -1)])
 
-    def splice(self, tick: int, samples: JointTrajectory, now: int) -> None:
-        """Replace the plan from `tick` on; all but the last samples before `now` are forgotten.
+    def splice(self, stamp_ns: int, samples: JointTrajectory, now_ns: int) -> None:
+        """Replace the plan from a time on; all but the last samples before now are forgotten.
 
         Args:
-            tick: When the first sample is due, at least `now`.
+            stamp_ns: When the first sample is due, on the grid, at least `now_ns`.
             samples: From then on.
-            now: The tick that is due next.
+            now_ns: The server's clock.
         """
-        assert tick >= now
-        first = now - REMEMBERED
-        begin, end = first - self._first_tick, tick - self._first_tick
+        assert stamp_ns >= now_ns
+        assert stamp_ns % GRID_NS == 0
+        first_ns = now_ns - now_ns % GRID_NS - REMEMBERED * GRID_NS
+        begin, end = ((t - self._start_ns) // GRID_NS for t in (first_ns, stamp_ns))
         kept: slice | NDArray[np.intp] = slice(begin, end)
         if begin < 0 or end > len(self._samples):
             kept = np.clip(np.arange(begin, end), 0, len(self._samples) - 1)
         self._samples = JointTrajectory.concatenate(self._samples.part(kept), samples)
-        self._first_tick = first
+        self._start_ns = first_ns

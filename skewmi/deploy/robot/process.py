@@ -1,4 +1,4 @@
-"""A simulated robot server as a child process, for runs that bring their own robot."""
+"""A robot server as a child process, for runs that bring their own robot."""
 
 from __future__ import annotations
 
@@ -17,14 +17,15 @@ _END_TIMEOUT_S = 10.0
 
 
 @contextmanager
-def simulated_robot_process(
-    task: str, limits: str, *, lock_step: bool, variation: str | None = None
+def spawn_robot(
+    name: str, task: str, limits: str, *, lock_step: bool, variation: str | None = None
 ) -> Iterator[str]:
-    """Run `skewmi robot --backend sim` on a free port until the block is left.
+    """Run `skewmi robot --backend NAME` on a free port until the block is left.
 
     The child ends with us even if we are killed: its standard input is a pipe of ours.
 
     Args:
+        name: Of the robot, one of `backends.BACKENDS`.
         task: Whose scene.
         limits: Name of the limit profile that it enforces.
         lock_step: See `skewmi robot --help`.
@@ -37,7 +38,7 @@ def simulated_robot_process(
         TransportError: It ended, or was not ready in time; with its own last words.
     """
     locator = f"tcp/127.0.0.1:{free_port()}"
-    command = [sys.executable, "-m", "skewmi.cli.main", "robot", "--backend", "sim"]
+    command = [sys.executable, "-m", "skewmi.cli.main", "robot", "--backend", name]
     command += ["--task", task, "--limits", limits, "--listen", locator]
     command += ["--json", "--end-with-input", *(["--lock-step"] if lock_step else [])]
     command += [] if variation is None else ["--variation", variation]
@@ -61,7 +62,7 @@ def simulated_robot_process(
                 words.seek(0)
                 said = words.read().decode(errors="replace").strip().splitlines()
                 raise TransportError(
-                    f"the simulated robot did not start: {said[-1] if said else 'it was silent'}"
+                    f"the robot did not start: {said[-1] if said else 'it was silent'}"
                 )
             watchdog.cancel()
             yield locator

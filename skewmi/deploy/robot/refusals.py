@@ -27,3 +27,26 @@ class Refusal(NamedTuple):
     """Of the refused chunk, if it was one."""
     of_commander: bool = False
     """Whether the one who holds the arm sent it."""
+
+
+class Refusals:
+    """What has been refused: counted for good, its reasons kept until they are told."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        """Since the server started."""
+        self.of_commander = 0
+        """Of those, the present commander's, since it armed."""
+        self._untold: list[Refusal] = []
+
+    def note(self, refusal: Refusal) -> None:
+        """Count a refusal."""
+        self.count += 1
+        self.of_commander += refusal.of_commander
+        if refusal.of_commander or len(self._untold) < NOTED_REFUSALS:
+            self._untold.append(refusal._replace(reason=printable(refusal.reason)))
+
+    def take(self) -> list[Refusal]:
+        """What has been refused since the last call."""
+        taken, self._untold = self._untold, []
+        return taken

@@ -1,11 +1,22 @@
-"""The two independent checks of a chunk before it is sent: limits on the grid, and the guard."""
+"""What judges a chunk, put together: on the side that sends it, and on the side that follows it.
+
+Both use the limits' code; nothing else of the two is shared.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+import numpy as np
+
 from skewmi.deploy.safety.guard import Guard
-from skewmi.deploy.safety.limits import ChunkChecker, LimitUsage
+from skewmi.deploy.safety.limits import (
+    WORKSPACE_TOLERANCE,
+    ChunkChecker,
+    Forward,
+    LimitUsage,
+)
+from skewmi.deploy.safety.validation import LimitCheck
 from skewmi.policy_io import Workspace
 from skewmi.robot_models.kinematics import ArmKinematics
 from skewmi.robot_models.limits import JointLimits
@@ -14,6 +25,10 @@ from skewmi.trajectory import Array, JointPoint, JointTrajectory
 Check = Callable[[JointTrajectory, JointPoint, Array], LimitUsage | None]
 """(samples, motion in progress at the first sample, its positions at the three grid steps before)
 -> usage; raises LimitViolationError."""
+
+
+_ROUNDING = 1e-6
+"""m"""
 
 
 class ChunkChecks:
@@ -45,3 +60,53 @@ class ChunkChecks:
     def _guard(self, samples: JointTrajectory, previous: JointPoint, earlier: Array) -> None:
         del previous, earlier
         self._checkers[self.boxed][1].check(samples.q, samples.v, samples.a)
+
+
+def limit_check(limits: JointLimits, workspace: Workspace | None) -> LimitCheck:
+    """The limits that the robot server enforces: joints and hand speed always, the box from inside.
+
+    A motion that starts outside the box (on the way to the start pose) is only checked for joint
+    limits and hand speed; once the arm is inside, it cannot leave. The room that the checker
+    leaves around the box counts as inside: else the way out would lead through it.
+
+    Args:
+        limits: Of the joints.
+        workspace: The task's box; None if there is none.
+    """
+    forward = _SharedForward(ArmKinematics("right").forward)
+    anywhere = ChunkChecker(limits, None, forward)
+
+    def check_anywhere(samples: JointTrajectory, present: JointPoint, earlier: Array) -> object:
+        return anywhere.check(samples.q, samples.v, samples.a, present, earlier=earlier)
+
+    if workspace is None:
+        return check_anywhere
+    inside = ChunkChecker(limits, workspace, forward)
+    base = np.array(workspace.base_position)
+    room = WORKSPACE_TOLERANCE + _ROUNDING
+    low, high = np.array(workspace.low) - base - room, np.array(workspace.high) - base + room
+
+    def check(samples: JointTrajectory, present: JointPoint, earlier: Array) -> object:
+        # The first sample is where the accepted plan is, or the checker refuses it: their
+        # distance, 1e-9 rad at most, is far less than the rounding that is allowed for.
+        start = forward.begin(samples.q)[0][0]
+        checker = inside if bool(((low <= start) & (start <= high)).all()) else anywhere
+        return checker.check(samples.q, samples.v, samples.a, previous=present, earlier=earlier)
+
+    return check
+
+
+class _SharedForward:
+    """Forward kinematics that are worked out once for all who judge a chunk."""
+
+    def __init__(self, forward: Forward) -> None:
+        self._forward = forward
+        self._chunk: Array | None = None
+
+    def begin(self, q: Array) -> tuple[Array, Array]:
+        """Work them out for a chunk. Until the next `begin` it must not be written to."""
+        self._poses, self._chunk = self._forward(q), q
+        return self._poses
+
+    def __call__(self, q: Array) -> tuple[Array, Array]:
+        return self._poses if q is self._chunk else self._forward(q)

@@ -30,18 +30,17 @@ MAX_CHUNK_BYTES = 128 * 1024
 """Longest command that is decoded: 500 points of seven joints take 100 kB."""
 
 LimitCheck = Callable[[JointTrajectory, JointPoint, Array], object]
-"""(samples, plan at the chunk's first tick, its positions before that) -> raises
-LimitViolationError."""
+"""(samples, plan at the chunk's stamp, its positions before that) -> raises LimitViolationError."""
 
 
 class Plan(Protocol):
     """What the robot server does without the chunk that is judged."""
 
-    def point(self, tick: int) -> JointPoint:
-        """What is commanded at a tick."""
+    def at(self, time_ns: int) -> JointPoint:
+        """What is commanded at a time of the robot server's clock."""
 
-    def before(self, tick: int) -> Array:
-        """Positions at the three ticks before `tick`, oldest first, rad. Shape (3, n_joints)."""
+    def before(self, time_ns: int) -> Array:
+        """Positions at the three grid steps before it, oldest first, rad. Shape (3, n_joints)."""
 
 
 @dataclass(frozen=True)
@@ -75,29 +74,26 @@ class ChunkValidator:
         self.rules = rules
         self._check_limits = check_limits
 
-    def check(self, chunk: TrajectoryChunk, plan: Plan, now: int) -> int:
+    def check(self, chunk: TrajectoryChunk, plan: Plan, now_ns: int) -> None:
         """Judge a chunk.
 
         Args:
             chunk: As decoded from the wire.
             plan: What the robot server would do without it.
-            now: The tick that is due next; tick k is due at k * grid_ns.
-
-        Returns:
-            The tick of the chunk's first sample.
+            now_ns: The robot server's clock: when the next sample is due.
 
         Raises:
             CommandRefusedError: Names the rule that was broken, with the numbers.
         """
         check_structure(chunk, self.rules)
-        tick = check_time(chunk, self.rules, now)
-        check_splice(chunk, plan.point(tick), self.rules)
+        check_time(chunk, self.rules, now_ns)
+        present = plan.at(chunk.stamp_ns)
+        check_splice(chunk, present, self.rules)
         check_rest(chunk, self.rules)
         try:
-            self._check_limits(chunk.trajectory, plan.point(tick), plan.before(tick))
+            self._check_limits(chunk.trajectory, present, plan.before(chunk.stamp_ns))
         except LimitViolationError as error:
             raise CommandRefusedError(str(error)) from error
-        return tick
 
 
 def check_size(payload: bytes) -> None:
@@ -147,27 +143,25 @@ def check_structure(chunk: TrajectoryChunk, rules: ValidationRules) -> None:
         )
 
 
-def check_time(chunk: TrajectoryChunk, rules: ValidationRules, now: int) -> int:
-    """Tick of the first sample: on the grid, not over, not too far ahead.
+def check_time(chunk: TrajectoryChunk, rules: ValidationRules, now_ns: int) -> None:
+    """The first sample must be due on the grid, not before now, not too far ahead.
 
     Raises:
         CommandRefusedError: The stamp and the robot server's clock.
     """
-    tick, off_grid = divmod(chunk.stamp_ns, rules.grid_ns)
-    if off_grid:
+    if chunk.stamp_ns % rules.grid_ns:
         raise CommandRefusedError(
             f"stamp {chunk.stamp_ns} ns is not a multiple of the grid of {rules.grid_ns} ns"
         )
-    if tick < now:
-        late_ms = (now - tick) * rules.grid_ns * 1e-6
+    ahead_ns = chunk.stamp_ns - now_ns
+    if ahead_ns < 0:
+        late_ms = -ahead_ns * 1e-6
         raise BrokenStreamError(f"stamp is {late_ms:g} ms in the past of the robot server's clock")
-    ahead_ns = (tick - now) * rules.grid_ns
     if ahead_ns > rules.max_ahead_ns:
         raise CommandRefusedError(
             f"stamp is {ahead_ns * 1e-6:g} ms ahead of the robot server's clock; "
             f"at most {rules.max_ahead_ns * 1e-6:g} ms are allowed"
         )
-    return tick
 
 
 def check_fresh(stamp_ns: int, clock_ns: int) -> None:

@@ -84,9 +84,11 @@ class ChunkStream:
 
         Args:
             q: Where the robot server holds the arm, rad. Shape (7,).
-            stamp_ns: Of the newest state; the first chunk is due `lead` after it.
+            stamp_ns: Of the newest state; the first chunk is due `lead` after the cycle it is of
+                has begun.
         """
-        self._next_ns = stamp_ns + self._lead_ns
+        # A robot whose own cycle is not the grid's tells its state a little late in each of ours.
+        self._next_ns = stamp_ns - stamp_ns % CYCLE_NS + self._lead_ns
         rest = JointTrajectory.resting(q, CYCLE_TICKS + 1)
         self.sent = TrajectoryChunk.of(self._next_ns - CYCLE_NS, self._joint_names, rest)
         self._history = [self.sent]

@@ -17,11 +17,10 @@ from typing import Any, Self
 import numpy as np
 
 from skewmi.cli.main import main
-from skewmi.deploy.robot import run as robot_run
-from skewmi.deploy.robot.backends.mujoco.backend import MujocoBackend
+from skewmi.deploy.robot.backends.mujoco import backend as mujoco_backend
+from skewmi.deploy.robot.backends.mujoco.simulation import ArmSimulation
 from skewmi.deploy.robot.process import free_port
 from skewmi.policy_io import Array
-from skewmi.trajectory import JointPoint
 
 LOG_VARIABLE = "SKEWMI_FAULTS_LOG"
 STEP, RESET = 0.0, 1.0
@@ -29,19 +28,19 @@ ROW = 1 + 1 + 7 + 7
 """Columns of a row: kind, monotonic s, commanded q (7,), measured q (7,); rad."""
 
 
-class WatchedBackend(MujocoBackend):
+class WatchedSimulation(ArmSimulation):
     """It, and a row in a file for every target; no buffer, so that kill -9 loses none."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
         self._log = os.open(os.environ[LOG_VARIABLE], os.O_WRONLY | os.O_CREAT | os.O_APPEND)
         super().__init__(*args, **options)
 
-    def step(self, target: JointPoint) -> None:
-        super().step(target)
-        self._write(STEP, target.q)
+    def step(self) -> None:
+        super().step()
+        self._write(STEP, self.command.q)
 
-    def reset_scene(self, seed: int) -> Array:
-        q = super().reset_scene(seed)
+    def reset(self, seed: int) -> Array:
+        q = super().reset(seed)
         self._write(RESET, q)
         return q
 
@@ -111,5 +110,5 @@ class Robot:
 
 
 if __name__ == "__main__":
-    robot_run.MujocoBackend = WatchedBackend  # type: ignore[misc]
+    mujoco_backend.ArmSimulation = WatchedSimulation  # type: ignore[misc]
     sys.exit(main(sys.argv[1:]))

@@ -9,7 +9,7 @@ from fault_motion import BOX_HIGH, BOX_LOW, BOX_ROOM, hand
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skewmi.deploy.robot.run import limit_check
+from skewmi.deploy.safety.checks import limit_check
 from skewmi.errors import LimitViolationError
 from skewmi.policy_io import Array
 from skewmi.robot_models import limits as joint_limits

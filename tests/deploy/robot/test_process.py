@@ -8,7 +8,7 @@ import threading
 import pytest
 
 from skewmi.deploy.robot import process as robot_process
-from skewmi.deploy.robot.process import simulated_robot_process
+from skewmi.deploy.robot.process import spawn_robot
 
 
 def test_an_interrupt_while_the_robot_starts_leaves_no_timer(
@@ -35,10 +35,10 @@ def test_an_interrupt_while_the_robot_starts_leaves_no_timer(
     monkeypatch.setattr(robot_process.subprocess, "Popen", Child)
     with (
         pytest.raises(KeyboardInterrupt),
-        simulated_robot_process("open_press_close", "lab", lock_step=True),
+        spawn_robot("sim", "open_press_close", "lab", lock_step=True),
     ):
         pass
     assert children[0].poll() is not None
     timers = [t for t in threading.enumerate() if isinstance(t, threading.Timer)]
-    assert all(timer.session for timer in timers)
+    assert all(timer.daemon for timer in timers)
     assert all(timer.finished.is_set() for timer in timers)

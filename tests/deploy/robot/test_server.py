@@ -10,11 +10,12 @@ from robot_servers import call, describe
 from scripted_runs import FewSteps
 
 from skewmi.deploy.options import DeployOptions
-from skewmi.deploy.robot import run as robot_run
 from skewmi.deploy.robot.backend import BackendFaultError
-from skewmi.deploy.robot.backends.mujoco.backend import MujocoBackend
+from skewmi.deploy.robot.backends import BackendOptions
+from skewmi.deploy.robot.backends.mujoco import backend as mujoco_backend
+from skewmi.deploy.robot.backends.mujoco.simulation import ArmSimulation
 from skewmi.deploy.robot.process import free_port
-from skewmi.deploy.robot.run import SimulatedRobotOptions, run_simulated_robot
+from skewmi.deploy.robot.run import serve_robot
 from skewmi.deploy.run import run_deploy
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.transport import TransportConfig
@@ -38,30 +39,31 @@ def test_only_the_commander_disarms(lock_step_robot: str) -> None:
 
 
 @pytest.mark.parametrize("lock_step", [True, False])
-def test_an_robot_server_that_is_ended_in_a_fault_follows_the_plan_to_rest_first(
+def test_a_robot_server_that_is_ended_in_a_fault_follows_the_plan_to_rest_first(
     lock_step: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ended, crashes, targets = threading.Event(), [], []
     ready, fail = threading.Event(), threading.Event()
 
-    class Failing(MujocoBackend):
-        def step(self, target) -> None:
-            super().step(target)
-            targets.append(target.q.copy())
-            if fail.is_set() and np.abs(target.v).max() > 0.05:
+    class Failing(ArmSimulation):
+        def step(self) -> None:
+            super().step()
+            targets.append(self.command.q.copy())
+            if fail.is_set() and np.abs(self.command.v).max() > 0.05:
                 fail.clear()
                 targets.clear()
                 ended.set()
                 raise BackendFaultError("drive 3 over temperature")
 
-    monkeypatch.setattr(robot_run, "MujocoBackend", Failing)
+    monkeypatch.setattr(mujoco_backend, "ArmSimulation", Failing)
     locator = f"tcp/127.0.0.1:{free_port()}"
     config = TransportConfig.for_robot(locator, lock_step=lock_step)
-    options = SimulatedRobotOptions(joint_limits.profile("lab"), lock_step=lock_step)
+    options = BackendOptions(lock_step=lock_step)
+    lab = joint_limits.profile("lab")
 
     def serve() -> None:
         try:
-            run_simulated_robot(config, options, ended, lambda _: ready.set())
+            serve_robot("sim", options, config, lab, ended, lambda _: ready.set())
         except Exception as error:
             crashes.append(error)
 

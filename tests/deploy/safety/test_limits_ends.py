@@ -21,7 +21,7 @@ from skewmi.deploy.safety.limits import GRID_DT, ChunkChecker
 from skewmi.errors import LimitViolationError
 from skewmi.policy_io import Array
 from skewmi.robot_models import limits
-from skewmi.trajectory import JointTrajectory
+from skewmi.trajectory import GRID_NS, JointTrajectory
 
 LAB = limits.profile("lab")
 CHECKER = ChunkChecker(LAB)
@@ -136,14 +136,16 @@ def test_whoever_uses_the_freedom_at_an_end_is_refused(where: str, order: int) -
 
 def follow(first: list[Array], second: list[Array]) -> None:
     """Judge a chunk from rest, and one that is spliced into it, as a robot server does."""
-    plan = PlanExecutor(MIDDLE, 10)
+    now_ns = 10 * GRID_NS
+    plan = PlanExecutor(MIDDLE, now_ns)
     rest = MIDDLE, np.zeros(7), np.zeros(7)
-    CHECKER.check(*first, previous=rest, earlier=plan.before(10))
-    plan.splice(10, JointTrajectory(*first), now=10)
-    at_splice = plan.point(10 + SPLICE)
+    CHECKER.check(*first, previous=rest, earlier=plan.before(now_ns))
+    plan.splice(now_ns, JointTrajectory(*first), now_ns)
+    splice_ns = now_ns + SPLICE * GRID_NS
+    at_splice = plan.at(splice_ns)
     for part, value in zip(second, at_splice, strict=True):
         part[0] = value
-    CHECKER.check(*second, previous=at_splice, earlier=plan.before(10 + SPLICE))
+    CHECKER.check(*second, previous=at_splice, earlier=plan.before(splice_ns))
 
 
 def test_without_a_motion_in_progress_there_was_rest() -> None:
@@ -167,27 +169,28 @@ def test_samples_of_one_motion_pass_wherever_they_are_spliced(
     rng = np.random.default_rng(seed)
     motion = StartMotion(MIDDLE, MIDDLE + size * rng.uniform(-1.0, 1.0, 7), LAB).trajectory
     splice = min(splice, len(motion.q) - 2)
-    plan = PlanExecutor(MIDDLE, 5)
-    plan.splice(5, motion, now=5)
+    plan = PlanExecutor(MIDDLE, 5 * GRID_NS)
+    plan.splice(5 * GRID_NS, motion, 5 * GRID_NS)
     rest = (x[splice:] for x in (motion.q, motion.v, motion.a))
-    now = 5 + splice
-    CHECKER.check(*rest, previous=plan.point(now), earlier=plan.before(now))
+    now_ns = (5 + splice) * GRID_NS
+    CHECKER.check(*rest, previous=plan.at(now_ns), earlier=plan.before(now_ns))
 
 
 @given(st.lists(st.integers(0, 30), min_size=1, max_size=8), st.integers(0, 2**32 - 1))
 def test_the_plan_remembers_what_was_executed(gaps: list[int], seed: int) -> None:
     """However chunks are laid over one another: three samples back, at any tick still to come."""
     rng = np.random.default_rng(seed)
-    tick, plan = 7, PlanExecutor(np.zeros(7), 7)
+    tick, plan = 7, PlanExecutor(np.zeros(7), 7 * GRID_NS)
     executed = {k: np.zeros(7) for k in range(7 - REMEMBERED, 7)}
     for gap in gaps:
         q = rng.normal(size=(rng.integers(2, 40), 7))
-        plan.splice(tick + int(rng.integers(0, 20)), JointTrajectory(q, q, q), now=tick)
+        stamp_ns = (tick + int(rng.integers(0, 20))) * GRID_NS
+        plan.splice(stamp_ns, JointTrajectory(q, q, q), tick * GRID_NS)
         for _ in range(gap):
-            executed[tick] = plan.point(tick).q
+            executed[tick] = plan.at(tick * GRID_NS).q
             tick += 1
         np.testing.assert_array_equal(
-            plan.before(tick), [executed[tick - age] for age in (3, 2, 1)]
+            plan.before(tick * GRID_NS), [executed[tick - age] for age in (3, 2, 1)]
         )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.recording.reader import read_recording
-from skewmi.deploy.robot.process import simulated_robot_process
+from skewmi.deploy.robot.process import spawn_robot
 from skewmi.deploy.run import run_deploy
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.messages import decode_chunk, decode_joint_states
@@ -65,7 +65,7 @@ def test_a_deployed_hand_on_the_lid_is_led_by_no_more_than_a_held_one_may_be(
     layout = make_layout()
     assert layout.workspace is not None
     path = tmp_path / "lean.mcap"
-    with simulated_robot_process("open_press_close", "lab", lock_step=True) as robot:
+    with spawn_robot("sim", "open_press_close", "lab", lock_step=True) as robot:
         options = DeployOptions(
             episodes=1, connect=robot, lock_step=True, record=path, start_spread=0.0
         )

@@ -14,10 +14,10 @@ from scripted_runs import FewSteps, give_up
 
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.recording.reader import read_recording
-from skewmi.deploy.robot import run as robot_run
 from skewmi.deploy.robot.backend import BackendFaultError
-from skewmi.deploy.robot.backends.mujoco.backend import MujocoBackend
-from skewmi.deploy.robot.server import RobotServer
+from skewmi.deploy.robot.backends.mujoco import backend as mujoco_backend
+from skewmi.deploy.robot.backends.mujoco.scene import MujocoScene
+from skewmi.deploy.robot.backends.mujoco.simulation import ArmSimulation
 from skewmi.deploy.run import run_deploy
 from skewmi.deploy.session import preflight as preflight_module
 from skewmi.deploy.wire import topics
@@ -65,14 +65,14 @@ def test_a_fault_stays_until_somebody_acknowledges_it(
 ) -> None:
     hot = threading.Event()
 
-    class Failing(MujocoBackend):
-        def step(self, target) -> None:
-            super().step(target)
+    class Failing(ArmSimulation):
+        def step(self) -> None:
+            super().step()
             if hot.is_set():
                 hot.clear()
                 raise BackendFaultError("drive 3 over temperature")
 
-    monkeypatch.setattr(robot_run, "MujocoBackend", Failing)
+    monkeypatch.setattr(mujoco_backend, "ArmSimulation", Failing)
     with robot_in_a_thread(lock_step=lock_step) as robot:
         options = DeployOptions(episodes=2, connect=robot, lock_step=lock_step)
         report = run_deploy(FewSteps(10, hot.set), options)
@@ -97,14 +97,10 @@ def test_a_silent_scene_is_noticed_between_two_control_steps(
 ) -> None:
     """At a tenth of the speed they are a second apart; 200 ms are allowed."""
     silent = threading.Event()
-    publish = RobotServer._publish_states
-
-    def publish_states(server: RobotServer) -> None:
-        if silent.is_set():
-            server._scene_states.put = lambda payload: None
-        publish(server)
-
-    monkeypatch.setattr(RobotServer, "_publish_states", publish_states)
+    state = MujocoScene.state
+    monkeypatch.setattr(
+        MujocoScene, "state", lambda scene: None if silent.is_set() else state(scene)
+    )
     with robot_in_a_thread() as robot:
         report = run_deploy(FewSteps(3, silent.set), DeployOptions(connect=robot, speed=0.1))
     (reason,) = report.stops

@@ -9,16 +9,15 @@ import pytest
 import zenoh
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from lone_robot import LoneRobot
 from secured_link import robot_process
 
 from skewmi.deploy.motion.start_motion import StartMotion
-from skewmi.deploy.robot.backend import fresh_tick
+from skewmi.deploy.robot.backend import fresh_start_ns
 from skewmi.deploy.robot.backends.mujoco.backend import MujocoBackend
-from skewmi.deploy.robot.controller import RobotController
+from skewmi.deploy.robot.backends.mujoco.simulation import ArmSimulation
 from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.robot.process import free_port
-from skewmi.deploy.robot.run import limit_check
-from skewmi.deploy.safety.validation import ChunkValidator, ValidationRules
 from skewmi.deploy.wire import ros2_keys, topics
 from skewmi.deploy.wire.messages import (
     JointStates,
@@ -41,13 +40,10 @@ GIDS = (b"a" * 16, b"b" * 16)
 GRIPPER = b"g" * 16
 
 
-def make_robot(backend: MujocoBackend, first_tick: int) -> RobotController:
+def make_robot(simulation: ArmSimulation, start_ns: int) -> LoneRobot:
     """A robot server that was just started, its arm at the task's start."""
-    backend.reset_scene(seed=0)
-    assert backend.layout.workspace is not None
-    rules = ValidationRules(joint_names=backend.joint_names, grid_ns=GRID_NS)
-    validator = ChunkValidator(rules, limit_check(LAB, backend.layout.workspace))
-    return RobotController(backend, validator, first_tick=first_tick)
+    simulation.reset(seed=0)
+    return LoneRobot(MujocoBackend(simulation, lock_step=True), LAB, start_ns=start_ns)
 
 
 def chunks(start: Array, stamp_ns: int, names: tuple[str, ...], back: bool = False) -> list[bytes]:
@@ -61,19 +57,19 @@ def chunks(start: Array, stamp_ns: int, names: tuple[str, ...], back: bool = Fal
 
 
 @pytest.fixture(scope="module")
-def backend() -> MujocoBackend:
-    return MujocoBackend()
+def simulation() -> ArmSimulation:
+    return ArmSimulation()
 
 
-def execute(robot: RobotController, payloads: list[bytes], gid: bytes, first: int = 1) -> int:
+def execute(robot: LoneRobot, payloads: list[bytes], gid: bytes, first: int = 1) -> int:
     """Send each chunk 12 ms before it is due, as a recording that is played; how many passed."""
     passed = 0
     sequence = first
     for payload in payloads:
         due = decode_chunk(payload).stamp_ns // GRID_NS
-        for _ in range(min(max(0, due - 3 - robot.tick_index), 25)):
-            robot.step(0)
-        passed += robot.receive(payload, gid, sequence, 0)
+        for _ in range(min(max(0, due - 3 - robot.due), 25)):
+            robot.run(1)
+        passed += robot.controller.receive(payload, gid, sequence, 0)
         sequence += 1
     return passed
 
@@ -98,31 +94,31 @@ STEPS = st.lists(
 )
 @given(steps=STEPS, first=st.integers(0, 1000))
 def test_no_chunk_is_ever_followed_twice(
-    backend: MujocoBackend, steps: list[tuple[str, int]], first: int
+    simulation: ArmSimulation, steps: list[tuple[str, int]], first: int
 ) -> None:
     """Whatever happens in between, and with whatever sender and number it is put again."""
-    robot = make_robot(backend, first)
+    robot = make_robot(simulation, first * GRID_NS)
     arms = (*GIDS, b"")
     followed: list[bytes] = []
     sequence, back, holder = 0, False, GIDS[0]
     for what, number in [("arm", 0), ("move", 0), *steps, ("replay", 0)]:
         if what == "wait":
             for _ in range(number):
-                robot.step(0)
+                robot.run(1)
         elif what == "stop":
-            robot.stop("test")
+            robot.requests.stop("test")
         elif what == "arm":
             try:
-                robot.arm(arms[number], 0)
+                robot.requests.arm(arms[number], 0)
                 holder = arms[number] or GIDS[0]
             except CommandRefusedError:
                 pass
-        elif what == "move" and robot.plan.at_rest(robot.tick_index):
-            start = np.array(robot.commanded_position())
-            stamp_ns = (robot.tick_index + 3) * GRID_NS
-            for payload in chunks(start, stamp_ns, backend.joint_names, back)[:6]:
+        elif what == "move" and robot.controller.at_rest:
+            start = robot.commanded
+            stamp_ns = (robot.due + 3) * GRID_NS
+            for payload in chunks(start, stamp_ns, robot.backend.joint_names, back)[:6]:
                 sequence += 1
-                if robot.receive(payload, holder, sequence, 0):
+                if robot.controller.receive(payload, holder, sequence, 0):
                     followed.append(payload)
             back = not back
         elif what == "replay" and followed:
@@ -130,52 +126,53 @@ def test_no_chunk_is_ever_followed_twice(
             payload = followed[int(random.integers(len(followed)))]
             gid = [*GIDS, bytes(random.bytes(16))][int(random.integers(3))]
             forged = int(random.choice([1, sequence, sequence + 1, 2**62]))
-            before = [robot.plan.point(robot.tick_index + k).q.copy() for k in range(60)]
-            assert not robot.receive(payload, gid, forged, 0)
-            assert robot.take_refusals()[-1].reason
-            after = [robot.plan.point(robot.tick_index + k).q for k in range(60)]
-            np.testing.assert_array_equal(before, after)
+            before = robot.planned(60)
+            assert not robot.controller.receive(payload, gid, forged, 0)
+            assert robot.refusals()[-1].reason
+            np.testing.assert_array_equal(before, robot.planned(60))
     assert followed, "nothing was followed: this shows nothing"
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=10)
+@settings(
+    suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=10, deadline=None
+)
 @given(gid=st.sampled_from([*GIDS, b""]), data=st.data())
 def test_a_recording_is_not_followed_by_a_restarted_robot_server(
-    backend: MujocoBackend, gid: bytes, data: st.DataObject
+    simulation: ArmSimulation, gid: bytes, data: st.DataObject
 ) -> None:
     """Even by one that is armed for the recorded sender, at rest at the recorded start."""
-    first = fresh_tick()
-    robot = make_robot(backend, first)
-    robot.arm(GIDS[0], 0)
-    start = np.array(robot.commanded_position())
-    recorded = chunks(start, (first + 50) * GRID_NS, backend.joint_names)
+    first_ns = fresh_start_ns()
+    robot = make_robot(simulation, first_ns)
+    robot.requests.arm(GIDS[0], 0)
+    start = robot.commanded
+    recorded = chunks(start, first_ns + 50 * GRID_NS, robot.backend.joint_names)
     assert execute(robot, recorded, GIDS[0]) == len(recorded)
 
-    restarted = make_robot(backend, fresh_tick())
+    restarted = make_robot(simulation, fresh_start_ns())
     # It may have been up for any time.
     for _ in range(data.draw(st.integers(0, 100))):
-        restarted.step(0)
-    restarted.arm(gid, 0)
+        restarted.run(1)
+    restarted.requests.arm(gid, 0)
     assert execute(restarted, recorded, GIDS[0], data.draw(st.integers(1, 2**62))) == 0
-    assert restarted.refused == len(recorded)
+    assert restarted.controller.refusals.count == len(recorded)
     why = "is not the commander" if gid == GIDS[1] else "the robot server's clock"
-    assert all(why in refusal.reason for refusal in restarted.take_refusals())
-    np.testing.assert_array_equal(restarted.commanded_position(), start)
+    assert all(why in refusal.reason for refusal in restarted.refusals())
+    np.testing.assert_array_equal(restarted.commanded, start)
 
 
-def test_it_is_the_clock_that_tells_runs_apart(backend: MujocoBackend) -> None:
+def test_it_is_the_clock_that_tells_runs_apart(simulation: ArmSimulation) -> None:
     """The test above can fail: had both clocks started alike, the arm would have moved."""
-    robot = make_robot(backend, 0)
-    recorded = chunks(np.array(robot.commanded_position()), 50 * GRID_NS, backend.joint_names)
-    robot.arm(GIDS[0], 0)
+    robot = make_robot(simulation, 0)
+    recorded = chunks(robot.commanded, 50 * GRID_NS, robot.backend.joint_names)
+    robot.requests.arm(GIDS[0], 0)
     assert execute(robot, recorded, GIDS[0]) == len(recorded)
-    alike = make_robot(backend, 0)
-    alike.arm(GIDS[0], 0)
+    alike = make_robot(simulation, 0)
+    alike.requests.arm(GIDS[0], 0)
     assert execute(alike, recorded, GIDS[0]) == len(recorded)
 
 
 def test_clocks_start_years_apart_and_fit_a_ros_stamp() -> None:
-    starts = sorted(fresh_tick() * GRID_NS / 1e9 for _ in range(200))
+    starts = sorted(fresh_start_ns() / 1e9 for _ in range(200))
     assert starts[0] > 0.0
     assert starts[-1] + 3600 * 24 * 365 * 30 < 2**31
     assert len(set(starts)) == 200

@@ -1,160 +1,90 @@
-"""The simulated YuMi: the task's MuJoCo scene as a robot backend, one physics step per tick."""
+"""The simulated YuMi as a robot: it sleeps until a step is due, or waits for its commander."""
 
 from __future__ import annotations
 
-import copy
-from collections import deque
+from collections.abc import Callable
 
-import mujoco
 import numpy as np
 
-from skewmi.deploy.robot.backend import BackendFaultError, Measurement
-from skewmi.deploy.robot.backends.mujoco.contact_meter import ContactMeter
-from skewmi.deploy.robot.backends.mujoco.scene_geometry import scene_geometry
-from skewmi.errors import CommandRefusedError, ConfigurationError, NotFoundError
-from skewmi.policy_io import Array, PolicyLayout
+from skewmi.deploy.robot.backend import BackendFaultError, RobotBackend, RobotState
+from skewmi.deploy.robot.backends import BackendOptions
+from skewmi.deploy.robot.backends.mujoco.scene import MujocoScene
+from skewmi.deploy.robot.backends.mujoco.simulation import ArmSimulation
+from skewmi.deploy.robot.pace import Beat, Pace, make_pace
+from skewmi.errors import CommandRefusedError, ConfigurationError
 from skewmi.robot_models import yumi
-from skewmi.sim import tasks
 from skewmi.sim.arm.definition import FINGER_MAX
-from skewmi.sim.arm.model_fields import model_fields
-from skewmi.sim.arm.scene import ArmScene, hand_rotation, workspace_of
-from skewmi.sim.arm.sensors import SensorErrors, delay_substeps, random_stream
-from skewmi.sim.arm.variation_keys import OPENING_ERROR
-from skewmi.sim.variation import VariationSample
-from skewmi.trajectory import GRID_S, JointPoint
+from skewmi.trajectory import GRID_NS, JointPoint
 
 
 class MujocoBackend:
-    """Arm, gripper and scene of a task in MuJoCo; satisfies `RobotBackend`.
-
-    The servos and the contact of the training simulation, stepped by one 4 ms step per tick
-    with the tick's joint target. `step` costs about 0.1 ms.
+    """Arm and gripper of a simulation; satisfies `RobotBackend`.
 
     Args:
-        task: Whose scene; the registry's default if not given.
-        start_configuration: Where the arm is at first, rad, shape (7,); the task's start
-            configuration if not given. A scene reset always goes to the task's.
-        variation: How robot and scene differ from the nominal ones: a variation file, a bundled
-            name, or JSON. Its values are drawn at each scene reset from the seed of that reset.
-            Shapes for replays stay nominal, as does all that the robot is told.
-
-    Raises:
-        NotFoundError: The task has no scene with a robot, or there is no such variation file.
-        ConfigurationError: The scene's time step does not divide the grid, or the variation is
-            not valid.
+        simulation: Of a task; the nominal one of the registry's default task if not given.
+        lock_step: Let time pass only when commands have arrived.
     """
 
     name = "sim"
-    simulated = True
+    period_ns = GRID_NS
 
-    def __init__(
-        self,
-        task: str | None = None,
-        start_configuration: Array | None = None,
-        variation: str | None = None,
-    ) -> None:
-        self.task = tasks.default() if task is None else task
-        spec = tasks.find(self.task)
-        if spec.arm is None:
-            raise NotFoundError(
-                f"no simulated robot for task {self.task!r}; there is one for "
-                f"{', '.join(tasks.with_arm())}"
-            )
-        self.layout: PolicyLayout = spec.layout()
-        self.layout_hashes = tuple(layout.hash() for _, layout in spec.layouts())
+    def __init__(self, simulation: ArmSimulation | None = None, *, lock_step: bool = False) -> None:
+        self.simulation = ArmSimulation() if simulation is None else simulation
+        self.scene = MujocoScene(self.simulation)
         self.joint_names = yumi.joint_names("right")
-        self.scene = ArmScene(spec.arm)
-        self.scene_json = scene_geometry(self.scene.model, spec.scene_fields).to_json()
-        self._data = mujoco.MjData(self.scene.model)
-        self._substeps = round(GRID_S / self.scene.model.opt.timestep)
-        if abs(self._substeps * self.scene.model.opt.timestep - GRID_S) > 1e-12:
-            raise ConfigurationError(
-                f"the scene's time step {self.scene.model.opt.timestep} s does not divide the "
-                f"robot server's grid of {GRID_S} s"
-            )
-        self._names = (*self.joint_names, yumi.finger_names("right")[0])
-        self._finger_dof = np.array(
-            [int(self.scene.model.joint(name).dofadr[0]) for name in yumi.finger_names("right")]
-        )
-        workspace = workspace_of(self.layout)
-        self._hand_site = int(self.scene.model.site(yumi.tool_name("right")).id)
-        self._contact = ContactMeter(
-            np.array(workspace.low), np.array(workspace.high), hand_rotation(workspace)
-        )
-        self._variation = spec.variations.resolve(variation)
-        self._nominal_model = copy.copy(self.scene.model)
-        self._opening_error = 0.0
-        self.reset_scene(seed=0)
-        if start_configuration is not None:
-            self._data.qpos[self.scene.arm_qpos] = start_configuration
-            self._data.ctrl[self.scene.arm_ctrl] = start_configuration
-            self._hold()
-            mujoco.mj_forward(self.scene.model, self._data)
+        self.state_names = (*self.joint_names, yumi.finger_names("right")[0])
+        self.lock_step = lock_step
+        self._time_ns = -GRID_NS
+        self._pace: Pace | None = None
+        self._fault: BackendFaultError | None = None
 
-    def arm_position(self) -> Array:
-        """Measured arm joints, rad, with the sensor errors of the tick. Shape (7,)."""
-        arm: Array = self._data.qpos[self.scene.arm_qpos]
-        return arm if self._errors is None else arm + self._errors[0][0]
+    @property
+    def slips(self) -> int:
+        """How often cycles were left out because the server came too late."""
+        return 0 if self._pace is None else self._pace.slips
 
-    def measure(self) -> Measurement:
-        """Present positions, velocities and servo forces.
+    def open(self, may_advance: Callable[[], bool]) -> None:
+        """Begin."""
+        self._pace = make_pace(GRID_NS, may_advance, lock_step=self.lock_step)
 
-        Positions of arm and scene have the variation's sensor errors, one draw a tick.
-        """
-        data, scene = self._data, self.scene
-        of_scene = data.qpos[scene.scene_qpos]
-        if self._errors is not None:
-            of_scene = of_scene + self._errors[1][0]
-        fingers = scene.finger_qpos
-        return Measurement(
-            names=self._names,
-            position=np.append(self.arm_position(), data.qpos[fingers].mean()),
-            velocity=np.append(data.qvel[scene.arm_dof], data.qvel[self._finger_dof].mean()),
-            effort=np.append(
-                data.actuator_force[scene.arm_ctrl], data.actuator_force[scene.finger_ctrl]
-            ),
-            scene_names=scene.task.joint_names,
-            scene_position=of_scene,
-            scene_velocity=data.qvel[scene.scene_dof],
-        )
+    def readiness(self) -> str | None:
+        """Nothing is ever missing."""
+        return None
 
-    def step(self, target: JointPoint) -> None:
-        """Follow the servo target `target.q`, with `target.v` as feed-forward, for 4 ms.
+    def read(self) -> RobotState | None:
+        """Wait for the next step, make it with the last command, and measure."""
+        assert self._pace is not None, "open it first"
+        beat = self._pace.wait()
+        if beat is Beat.NONE:
+            return None
+        if beat is Beat.NEXT:
+            self._time_ns += GRID_NS
+            if self._time_ns > 0:
+                self._step()
+        return self.simulation.robot_state(self._time_ns)
+
+    def _step(self) -> None:
+        try:
+            self.simulation.step()
+        except BackendFaultError as fault:
+            self._fault = fault
+
+    def write(self, command: JointPoint) -> None:
+        """The servos' targets for the step that comes next.
 
         Raises:
             BackendFaultError: MuJoCo found a state that is not physical.
         """
-        controls = self.scene.controls(target.q, 0.0, target.v)
-        controls[self.scene.finger_ctrl] = self._finger_target
-        self._pending.append(controls)
-        self._data.ctrl[:] = self._pending.popleft()
-        mujoco.mj_step(self.scene.model, self._data, self._substeps)
-        raised = []
-        for index in range(mujoco.mjtWarning.mjNWARNING.value):
-            if self._data.warning[index].number:
-                raised.append(mujoco.mjtWarning(index).name)
-                # Told once: a fault that was acknowledged is over.
-                self._data.warning[index].number = 0
-        if raised:
-            raise BackendFaultError(f"the simulation raised {', '.join(raised)}")
-        self._read_sensors()
-        self._note_contact()
+        self.simulation.command = command
+        fault, self._fault = self._fault, None
+        if fault is not None:
+            raise fault
 
-    def contact(self) -> dict[str, float]:
-        """Largest forces on hand and arm, tilt and excess of the box since the scene's reset.
+    def activate(self) -> None:
+        """The servos are always on."""
 
-        Of every physics step, and of the true pose, not of what the sensors say.
-        """
-        return self._contact.summary()
-
-    def _note_contact(self) -> None:
-        data, scene = self._data, self.scene
-        self._contact.add(
-            data.sensordata[scene.hand_force],
-            data.sensordata[scene.arm_force],
-            data.site_xpos[self._hand_site],
-            data.site_xmat[self._hand_site],
-        )
+    def deactivate(self) -> None:
+        """They stay on and hold."""
 
     def open_gripper(self, opening: float) -> None:
         """Move each finger to `opening` m from closed.
@@ -166,58 +96,19 @@ class MujocoBackend:
             raise CommandRefusedError(
                 f"finger opening {opening:.4g} m is outside 0..{FINGER_MAX:g} m"
             )
-        self._finger_target = opening + self._opening_error
+        self.simulation.open_gripper(opening)
 
-    def reset_scene(self, seed: int) -> Array:
-        """Scene as the task begins, arm at its start configuration.
+    def close(self) -> None:
+        """Nothing is left."""
 
-        Args:
-            seed: Of the variation's values and sensor errors.
 
-        Returns:
-            Where the arm rests. Shape (7,), rad.
-        """
-        sample: VariationSample | None = None
-        if not self._variation.is_nominal:
-            self._rng = random_stream(self._variation, seed)
-            sample = self._variation.sample(self._rng, 1)
-            self._write_model(sample)
-        self.scene.reset(self._data, layout=self.layout)
-        self._sensors: SensorErrors | None = None
-        self._delay = 0
-        if sample is not None:
-            self._sensors = SensorErrors(sample, self.scene.task)
-            self._delay = int(delay_substeps(sample)[0]) // self._substeps
-            self._opening_error = float(sample.get(OPENING_ERROR)[0])
-            self._data.qpos[self.scene.finger_qpos] += self._opening_error
-            self._data.ctrl[self.scene.finger_ctrl] += self._opening_error
-            mujoco.mj_forward(self.scene.model, self._data)
-        self._hold()
-        self._read_sensors()
-        self._contact.clear()
-        start = np.array(workspace_of(self.layout).start_configuration)
-        q = self._data.qpos[self.scene.arm_qpos].copy()
-        # The start position decides; its configuration is the posture that inverse kinematics
-        # of the reset starts from, so both agree unless the table of constants is wrong.
-        if np.abs(q - start).max() > 1e-2:
-            raise ConfigurationError(
-                "the task's start configuration does not put the hand at its start position"
-            )
-        return np.asarray(q, dtype=np.float64)
-
-    def _write_model(self, sample: VariationSample) -> None:
-        """Make the model that of the values drawn, whatever it was before."""
-        model = self.scene.model
-        fields = model_fields(self._nominal_model, self.scene.task.variations.keys, sample)
-        for name, values in fields.values.items():
-            getattr(model, name)[:] = values[0]
-        if fields.needs_set_const:
-            mujoco.mj_setConst(model, self._data)
-
-    def _hold(self) -> None:
-        """Let the present controls be all that is on its way to the servos."""
-        self._finger_target = float(self._data.ctrl[self.scene.finger_ctrl])
-        self._pending = deque(self._data.ctrl.copy() for _ in range(self._delay))
-
-    def _read_sensors(self) -> None:
-        self._errors = None if self._sensors is None else self._sensors.draw(self._rng)
+def make(options: BackendOptions) -> RobotBackend:
+    """See `backends.make_backend`."""
+    if options.delay_s is not None:
+        raise ConfigurationError(
+            "the simulated robot's delay is its servos': give --variation instead of a delay"
+        )
+    start = options.start_configuration
+    configuration = None if start is None else np.array(start)
+    simulation = ArmSimulation(options.task, configuration, options.variation)
+    return MujocoBackend(simulation, lock_step=options.lock_step)

@@ -11,8 +11,8 @@ from hypothesis.extra import numpy as hnp
 
 from skewmi.contact import QUANTITIES
 from skewmi.deploy.report import DeployReport, EpisodeReport
-from skewmi.deploy.robot.backends.mujoco.backend import MujocoBackend
 from skewmi.deploy.robot.backends.mujoco.contact_meter import ContactMeter
+from skewmi.deploy.robot.backends.mujoco.simulation import ArmSimulation
 from skewmi.trajectory import JointPoint
 
 LOW, HIGH = np.array([-0.1, -0.2, 0.0]), np.array([0.1, 0.2, 0.3])
@@ -64,13 +64,13 @@ def test_tilt_is_the_largest_angle_from_the_held_orientation(
 
 
 def test_a_hand_that_leans_on_the_shut_lid_is_felt_and_a_free_one_is_not() -> None:
-    robot = MujocoBackend()
-    q0 = robot.reset_scene(0)
+    robot = ArmSimulation()
+    q0 = robot.reset(0)
     rest = np.zeros(7)
-    assert robot.contact() == {}
+    assert robot.contact.summary() == {}
     for _ in range(25):
-        robot.step(JointPoint(q0, rest, rest))
-    free = robot.contact()
+        robot.step()
+    free = robot.contact.summary()
     assert free["hand_force_peak_n"] == free["arm_force_peak_n"] == 0.0
     assert free["outside_box_mm"] < 0.1
     assert free["hand_tilt_deg"] < 0.1
@@ -83,9 +83,10 @@ def test_a_hand_that_leans_on_the_shut_lid_is_felt_and_a_free_one_is_not() -> No
     for tick in range(750):
         share = min(1.0, tick / 500)
         speed = (goal - q0) / 2.0 if share < 1.0 else rest
-        robot.step(JointPoint(q0 + share * (goal - q0), speed, rest))
+        robot.command = JointPoint(q0 + share * (goal - q0), speed, rest)
+        robot.step()
         felt[25 + tick] = np.linalg.norm(robot._data.sensordata[robot.scene.hand_force])
-    leaning = robot.contact()
+    leaning = robot.contact.summary()
     assert leaning["hand_force_peak_n"] == pytest.approx(felt.max())
     standing = max(felt[k : k + 125].mean() for k in range(len(felt) - 124))
     assert leaning["hand_force_standing_n"] == pytest.approx(standing)
@@ -93,8 +94,8 @@ def test_a_hand_that_leans_on_the_shut_lid_is_felt_and_a_free_one_is_not() -> No
     # Servos bend: what pushes up also turns the hand.
     assert leaning["hand_tilt_deg"] > 1.0
 
-    robot.reset_scene(0)
-    assert robot.contact() == {}
+    robot.reset(0)
+    assert robot.contact.summary() == {}
 
 
 def test_a_report_counts_episodes_within_limits_and_leaves_out_what_nobody_measured() -> None:

@@ -1,0 +1,42 @@
+"""The simulated scene before the simulated robot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from skewmi.deploy.robot.backend import SceneState
+from skewmi.deploy.robot.backends.mujoco.scene_geometry import scene_geometry
+from skewmi.deploy.robot.backends.mujoco.simulation import ArmSimulation
+from skewmi.policy_io import Array, Workspace
+from skewmi.sim.arm.scene import workspace_of
+
+
+class MujocoScene:
+    """A task's scene in MuJoCo; satisfies `Scene`.
+
+    Args:
+        simulation: That it is a part of.
+    """
+
+    resettable = True
+
+    def __init__(self, simulation: ArmSimulation) -> None:
+        spec = simulation.spec
+        self._simulation = simulation
+        self.task = simulation.task
+        self.layout_hashes = tuple(layout.hash() for _, layout in spec.layouts())
+        self.workspace: Workspace = workspace_of(simulation.layout)
+        geometry = scene_geometry(simulation.scene.model, spec.scene_fields)
+        self.shapes_json = geometry.to_json()
+
+    def state(self) -> SceneState:
+        """Measured joints of the scene."""
+        return self._simulation.scene_state()
+
+    def contact(self) -> Mapping[str, float]:
+        """Largest forces on hand and arm, tilt and excess of the box since the last reset."""
+        return self._simulation.contact.summary()
+
+    def reset(self, seed: int) -> Array:
+        """Scene as the task begins, arm at its start configuration, as `seed` varies them."""
+        return self._simulation.reset(seed)

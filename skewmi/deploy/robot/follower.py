@@ -1,0 +1,105 @@
+"""One cycle of the arm: what is due now is written, and the arm is watched for following it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skewmi.deploy.robot.backend import BackendFaultError, RobotBackend, RobotState
+from skewmi.deploy.robot.executor import PlanExecutor
+from skewmi.policy_io import Array
+from skewmi.trajectory import JointPoint
+
+TRACKING_LIMIT = 0.35
+"""Largest |measured - commanded| of a joint, rad, before the robot server calls it a fault."""
+
+
+class PlanFollower:
+    """Samples the plan at the robot's own times.
+
+    Args:
+        backend: The robot.
+        start_ns: What the server's clock shows at the robot's first cycle, see
+            `backend.fresh_start_ns`.
+        tracking_limit: Joint error that counts as a fault, rad.
+    """
+
+    def __init__(
+        self, backend: RobotBackend, start_ns: int = 0, tracking_limit: float = TRACKING_LIMIT
+    ) -> None:
+        self._backend = backend
+        self._joints = len(backend.joint_names)
+        self._start_ns = start_ns
+        self._tracking_limit = tracking_limit
+        self._commanded: JointPoint | None = None
+        self.state: RobotState | None = None
+        """The newest one; None before the robot's first cycle."""
+        self.executed_ns = start_ns - backend.period_ns
+        """The newest cycle, by the server's clock."""
+        self.plan = PlanExecutor(np.zeros(self._joints), start_ns)
+        """Of no meaning before the first cycle: then it becomes to stay where the arm is."""
+
+    @property
+    def clock_ns(self) -> int:
+        """When the next sample is due."""
+        return self.executed_ns + self._backend.period_ns
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether all but the plan's end has been executed."""
+        return self.plan.at_rest(self.clock_ns)
+
+    @property
+    def measured(self) -> Array:
+        """Arm joints in the newest cycle, rad. Shape (n_joints,)."""
+        assert self.state is not None
+        return self.state.position[: self._joints]
+
+    def cycle(self, state: RobotState) -> None:
+        """Answer one cycle of the robot.
+
+        Raises:
+            BackendFaultError: The arm does not follow, or the robot cannot.
+        """
+        first = self.state is None
+        self.state = state
+        self.executed_ns = self._start_ns + state.time_ns
+        error = None
+        if first or not state.guided:
+            self.plan.rest_at(self.measured, self.executed_ns)
+        else:
+            error = self._tracking_error()
+        self._commanded = self.plan.at(self.executed_ns)
+        self._backend.write(self._commanded)
+        if error is not None:
+            raise BackendFaultError(error)
+
+    def rest_at(self, q: Array) -> None:
+        """Forget the plan; from the next cycle on stay at `q`, shape (n_joints,), rad."""
+        self.plan.rest_at(q, self.clock_ns)
+        self._commanded = self.plan.at(self.clock_ns)
+
+    def drop_what_has_not_begun(self) -> None:
+        """A chunk may be due in a while: an arm that rests until then stays where it is."""
+        now, before = self.plan.at(self.clock_ns), self.plan.at(self.executed_ns)
+        if not (now.v.any() or now.a.any() or (now.q != before.q).any()):
+            self.rest_at(now.q)
+
+    def commanded_position(self) -> tuple[float, ...]:
+        """Where the plan ends, rad; empty before the first cycle."""
+        if self.state is None:
+            return ()
+        return tuple(map(float, self.plan.at(self.plan.end_ns).q))
+
+    def _tracking_error(self) -> str | None:
+        """Whether the arm is where it was commanded in the last cycle; in words if it is not."""
+        assert self._commanded is not None
+        error = float(np.abs(self.measured - self._commanded.q).max())
+        if error <= self._tracking_limit:
+            return None
+        if np.isfinite(self.measured).all():
+            # Whatever holds the arm shall not be pulled at, nor the arm snap back once it is free.
+            self.plan.rest_at(self.measured, self.executed_ns)
+        return (
+            f"a joint is {error:.3g} rad from its command; "
+            f"at most {self._tracking_limit:g} rad are allowed"
+        )

@@ -1,0 +1,90 @@
+"""What a robot server tells without being asked: joint states, scene states, status."""
+
+from __future__ import annotations
+
+import time
+
+from skewmi.deploy.robot.backend import RobotBackend, RobotState
+from skewmi.deploy.robot.controller import RobotController
+from skewmi.deploy.robot.states import ServerEvent, ServerState
+from skewmi.deploy.robot.status import RobotStatus
+from skewmi.deploy.state_machine import Transition
+from skewmi.deploy.wire import topics
+from skewmi.deploy.wire.messages import JointStates, encode_joint_states
+from skewmi.deploy.wire.transport import Link
+from skewmi.trajectory import CYCLE_NS
+
+_STATUS_PERIOD_NS = 500_000_000
+_SHOWN_REFUSALS = 3
+
+
+class StatePublisher:
+    """Publishes in the robot server's time.
+
+    Args:
+        backend: The robot.
+        controller: Of that robot.
+        link: An open session.
+    """
+
+    def __init__(self, backend: RobotBackend, controller: RobotController, link: Link) -> None:
+        self._backend = backend
+        self._controller = controller
+        self._joint_states = link.publisher(topics.YUMI_JOINT_STATES)
+        self._scene_states = link.publisher(topics.YUMI_SCENE_STATES)
+        self._status = link.publisher(topics.YUMI_STATUS)
+        self._next_ns = self._stamp_ns = -1
+        self._next_status_ns = 0
+        self._refused_told = 0
+
+    def states(self, state: RobotState) -> None:
+        """Publish the newest cycle's states, if the first `CYCLE_NS` after the last are over.
+
+        A state that comes again with the same time is told again: time stands still, and this is
+        for those who come late.
+        """
+        stamp_ns = self._controller.arm_motion.executed_ns
+        if stamp_ns < self._next_ns and stamp_ns != self._stamp_ns:
+            return
+        self._next_ns = stamp_ns - stamp_ns % CYCLE_NS + CYCLE_NS
+        self._stamp_ns = stamp_ns
+        # The scene first: whoever sees joint states of a stamp has its scene states already.
+        scene = None if self._backend.scene is None else self._backend.scene.state()
+        if scene is not None:
+            nothing = scene.position[:0]
+            told = JointStates(stamp_ns, scene.names, scene.position, scene.velocity, nothing)
+            self._scene_states.put(encode_joint_states(told))
+        names = self._backend.state_names
+        joints = JointStates(stamp_ns, names, state.position, state.velocity, state.effort)
+        self._joint_states.put(encode_joint_states(joints))
+
+    def status(self) -> None:
+        """Publish the status if something was refused, or it is time for it."""
+        now_ns, refused = time.monotonic_ns(), self._controller.refusals.count
+        if refused == self._refused_told and now_ns < self._next_status_ns:
+            return
+        self._next_status_ns = now_ns + _STATUS_PERIOD_NS
+        self.tell(self._controller.clock_ns)
+
+    def tell(self, stamp_ns: int, transition: Transition[ServerState] | None = None) -> None:
+        """Publish the status now."""
+        controller = self._controller
+        self._refused_told = controller.refusals.count
+        # The commander's own come first: they are what it has to answer for.
+        refusals = sorted(controller.refusals.take(), key=lambda r: not r.of_commander)
+        status = RobotStatus(
+            stamp_ns=stamp_ns,
+            state=controller.state,
+            reason=controller.machine.reason,
+            accepted=controller.accepted,
+            refused=controller.refusals.count,
+            refusal="; ".join(refusal.reason for refusal in refusals[:_SHOWN_REFUSALS]),
+            refused_stamps_ns=tuple(refusal.stamp_ns for refusal in refusals),
+            out_of_step=all(r.out_of_step for r in refusals if r.of_commander),
+            refused_of_commander=controller.refusals.of_commander,
+            commander=controller.lease.holder or b"",
+            slips=self._backend.slips,
+            source=None if transition is None else transition.source,
+            event=None if transition is None else ServerEvent(transition.event),
+        )
+        self._status.put(status.encode())

@@ -1,0 +1,164 @@
+"""What anybody may ask of a robot server, besides motion; without its wires, as `controller`."""
+
+from __future__ import annotations
+
+from skewmi.deploy.robot.backend import RobotBackend
+from skewmi.deploy.robot.controller import RobotController
+from skewmi.deploy.robot.refusals import printable
+from skewmi.deploy.robot.states import ACCEPTS_COMMANDS, ServerEvent, ServerState
+from skewmi.deploy.safety.validation import check_fresh
+from skewmi.deploy.wire.messages import JointStates
+from skewmi.errors import CommandRefusedError
+
+
+class RobotRequests:
+    """Arming, stopping, gripper commands and resets of the scene, checked.
+
+    Args:
+        backend: The robot.
+        controller: Of that robot.
+    """
+
+    def __init__(self, backend: RobotBackend, controller: RobotController) -> None:
+        self._backend = backend
+        self._controller = controller
+        self.stops = 0
+        """How often somebody asked to stop, in whatever state: a commander that was between two
+        episodes must not take the arm again as if nothing had been said."""
+
+    def arm(self, gids: bytes, now_ns: int) -> None:
+        """Accept chunks from now on.
+
+        Args:
+            gids: Of the publishers of chunks and of gripper commands that become the commander,
+                16 bytes each; empty for the first that sends.
+            now_ns: Any monotonic clock, for the lease.
+
+        Raises:
+            CommandRefusedError: Somebody else commands, the state does not allow it, or the robot
+                is not ready.
+        """
+        controller, lease = self._controller, self._controller.lease
+        controller.check_lease(now_ns)
+        if controller.state in (ServerState.STOPPING, ServerState.FAULT):
+            raise CommandRefusedError(
+                f"the robot server is {controller.state.value} ({controller.machine.reason}); "
+                "stop it first (skewmi stop acknowledges a fault)"
+            )
+        gid, gripper = gids[:16], gids[16:32]
+        if controller.state in ACCEPTS_COMMANDS and gid and gid == lease.holder:
+            controller.refusals.of_commander = 0
+            lease.gripper_holder = gripper or lease.gripper_holder
+            lease.extend(now_ns)
+            return
+        missing = controller.not_ready()
+        if missing is not None:
+            raise CommandRefusedError(f"the robot is not ready: {missing}")
+        lease.open(now_ns)
+        if controller.state is ServerState.DISARMED:
+            self._activate()
+        controller.refusals.of_commander = 0
+        lease.holder, lease.gripper_holder = gid or None, gripper or None
+        # The arm may have sagged or been pushed while disarmed: hold where it is commanded.
+        controller.fire(ServerEvent.ARM, f"armed by {gid.hex()[:8] or 'a service call'}")
+
+    def stop(self, who: str) -> None:
+        """Brake along the accepted plan's tail, then disarm; at rest, acknowledge a fault.
+
+        Args:
+            who: Told in the reason; what cannot be printed, and more than a line of it, is not.
+
+        Raises:
+            CommandRefusedError: In fault, and the arm has not come to rest yet.
+        """
+        controller = self._controller
+        self.stops += 1
+        if controller.state is ServerState.FAULT:
+            if not controller.at_rest:
+                raise CommandRefusedError(
+                    f"in fault ({controller.machine.reason}), and the arm has yet to come to rest: "
+                    "stop again to acknowledge it"
+                )
+            if controller.arm_motion.state is not None:
+                # The arm may be far from its command: hold it there, do not jerk it back.
+                controller.reseed(controller.arm_motion.measured)
+        controller.end(ServerEvent.STOP, f"stop asked for by {printable(who)}")
+
+    def disarm(self, gids: bytes) -> None:
+        """The commander gives the arm back: brake along the accepted plan's tail, then disarm.
+
+        At rest or stopping already, and in fault, nothing changes.
+
+        Args:
+            gids: As in `arm`.
+
+        Raises:
+            CommandRefusedError: Somebody else commands.
+        """
+        if self._controller.state not in ACCEPTS_COMMANDS:
+            return
+        gid, holder = gids[:16], self._controller.lease.holder
+        if holder is None or gid != holder:
+            raise CommandRefusedError(
+                f"{gid.hex()[:8] or 'the caller'} is not the commander "
+                f"({'none yet' if holder is None else holder.hex()[:8]}); anybody may stop the "
+                "arm (skewmi stop)"
+            )
+        self._controller.end(ServerEvent.DISARM, f"disarmed by its commander {gid.hex()[:8]}")
+
+    def _activate(self) -> None:
+        try:
+            self._backend.activate()
+        except CommandRefusedError:
+            self._controller.lease.close()
+            raise
+
+    def reset_scene(self, seed: int) -> None:
+        """Put scene and arm back to the start of an episode.
+
+        Raises:
+            CommandRefusedError: The arm is moving, somebody commands it, or the scene is real.
+        """
+        controller, scene, lease = self._controller, self._backend.scene, self._controller.lease
+        if scene is None:
+            raise CommandRefusedError(f"the robot {self._backend.name!r} has no scene to reset")
+        if not controller.at_rest:
+            raise CommandRefusedError("the arm is moving; stop it before resetting the scene")
+        if lease.holder is not None and lease.sequence > 0:
+            raise CommandRefusedError(
+                f"commander {lease.holder.hex()[:8]} works in the scene; reset it before its "
+                "first trajectory, or once it has disarmed"
+            )
+        controller.reseed(scene.reset(seed))
+
+    def follow_gripper(self, command: JointStates, gid: bytes, sequence: int | None = None) -> None:
+        """`open_gripper` for a command as it was received.
+
+        Raises:
+            CommandRefusedError: Not this gripper's joint, or not made just now; or as there.
+        """
+        fingers = self._backend.state_names[len(self._backend.joint_names) :]
+        if not fingers or command.names != fingers:
+            got = ", ".join(command.names[:5]) or "none"
+            raise CommandRefusedError(
+                f"one opening, that of {', '.join(fingers) or 'no gripper'}, is expected; got {got}"
+            )
+        check_fresh(command.stamp_ns, self._controller.clock_ns)
+        self.open_gripper(float(command.position[0]), gid, sequence)
+
+    def open_gripper(self, opening: float, gid: bytes, sequence: int | None = None) -> None:
+        """Move the fingers, for the commander only.
+
+        Args:
+            opening: Travel of each finger from closed, m.
+            gid: Who published it.
+            sequence: Its number, counted by the publisher; None is not looked at.
+
+        Raises:
+            CommandRefusedError: Not armed, another commander, or not an opening.
+        """
+        lease = self._controller.lease
+        self._controller.check_accepting()
+        lease.check_gripper(gid, sequence)
+        self._backend.open_gripper(opening)
+        lease.renew_gripper(gid, sequence)

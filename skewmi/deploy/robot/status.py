@@ -1,0 +1,117 @@
+"""What a robot server says of itself on `/yumi/status`: the same type on both ends of the wire."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from skewmi.deploy.robot.states import ServerEvent, ServerState
+from skewmi.deploy.wire.messages import (
+    ERROR,
+    OK,
+    WARN,
+    Status,
+    decode_status,
+    encode_status,
+)
+from skewmi.errors import TransportError
+
+STATUS_NAME = "skewmi_robot"
+"""Name of the robot server's entry in the status messages."""
+
+_NO_STAMP = "None"
+
+
+@dataclass(frozen=True)
+class RobotStatus:
+    """State of a robot server, why it is in it, and what it has done with commands.
+
+    The keys on the wire are the names of the fields, but for `source`, which is "from".
+    """
+
+    stamp_ns: int
+    """The robot server's clock."""
+    state: ServerState
+    reason: str
+    """Why it is in that state."""
+    accepted: int = 0
+    """Chunks, since it started."""
+    refused: int = 0
+    """Commands, since it started."""
+    refusal: str = ""
+    """Reasons of those refused since the last status, the commander's first."""
+    refused_stamps_ns: tuple[int | None, ...] = ()
+    """Of the chunks among them."""
+    out_of_step: bool = True
+    """Whether the commander's refused ones came too late or after a lost one, and were fine
+    otherwise."""
+    refused_of_commander: int = 0
+    """Commands of the present commander, since it armed."""
+    commander: bytes = b""
+    """Global id of the commander's publisher of chunks; empty without one."""
+    slips: int = 0
+    """How often cycles were left out because the server came too late."""
+    source: ServerState | None = None
+    """The state before, if a change of state is told."""
+    event: ServerEvent | None = None
+    """What changed it."""
+
+    def encode(self) -> bytes:
+        """diagnostic_msgs/DiagnosticArray with one entry."""
+        level = ERROR if self.state is ServerState.FAULT else WARN if self.refused else OK
+        values = {
+            "state": self.state.value,
+            "reason": self.reason,
+            "accepted": str(self.accepted),
+            "refused": str(self.refused),
+            "refusal": self.refusal,
+            "refused_stamps_ns": " ".join(map(str, self.refused_stamps_ns)),
+            "out_of_step": str(self.out_of_step),
+            "refused_of_commander": str(self.refused_of_commander),
+            "commander": self.commander.hex(),
+            "slips": str(self.slips),
+        }
+        if self.source is not None and self.event is not None:
+            values |= {"from": self.source.value, "event": self.event.value}
+        message = f"{self.state.value}: {self.reason}"
+        return encode_status(Status(self.stamp_ns, STATUS_NAME, level, message, values))
+
+    @staticmethod
+    def decode(payload: bytes) -> RobotStatus | None:
+        """Inverse of `encode`; None if the message tells of somebody else.
+
+        Raises:
+            TransportError: Not a status, or not of a robot server of this version.
+        """
+        status = decode_status(payload)
+        return RobotStatus.read(status) if status.name == STATUS_NAME else None
+
+    @staticmethod
+    def read(status: Status) -> RobotStatus:
+        """What a decoded message of that name tells.
+
+        Raises:
+            TransportError: As for `decode`.
+        """
+        values = status.values
+        try:
+            stamps = values["refused_stamps_ns"].split()
+            return RobotStatus(
+                stamp_ns=status.stamp_ns,
+                state=ServerState(values["state"]),
+                reason=values["reason"],
+                accepted=int(values["accepted"]),
+                refused=int(values["refused"]),
+                refusal=values["refusal"],
+                refused_stamps_ns=tuple(None if s == _NO_STAMP else int(s) for s in stamps),
+                out_of_step=values["out_of_step"] == str(True),
+                refused_of_commander=int(values["refused_of_commander"]),
+                commander=bytes.fromhex(values["commander"]),
+                slips=int(values["slips"]),
+                source=ServerState(values["from"]) if "from" in values else None,
+                event=ServerEvent(values["event"]) if "event" in values else None,
+            )
+        except (KeyError, ValueError) as error:
+            raise TransportError(
+                f"the robot server's status cannot be read ({error}); "
+                "is it of another version of skewmi?"
+            ) from error
