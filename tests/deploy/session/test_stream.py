@@ -10,6 +10,7 @@ import pytest
 
 from skewmi.deploy.session.stream import ChunkStream
 from skewmi.deploy.session.timing import CycleTimes
+from skewmi.deploy.wire.messages import decode_chunk
 from skewmi.errors import (
     LimitViolationError,
 )
@@ -43,6 +44,22 @@ def test_stream_sends_one_chunk_per_state_and_two_after_a_lost_one() -> None:
         counts.append(splices)
     assert counts == [[5], [5], [5], [5, 5], [5]]
     assert stream.missed_cycles == 0
+
+
+def test_stream_keeps_its_cycle_with_a_robot_whose_own_is_another() -> None:
+    """States come with the first cycle of 4.032 ms in each 20 ms: up to 4 ms late."""
+    sent: list[bytes] = []
+    stream = make_stream(sent)
+    stamps = [-(-k * 20_000_000 // 4_032_000) * 4_032_000 for k in range(3, 700)]
+    stream.begin(np.zeros(7), stamps[0])
+    for stamp_ns in stamps:
+        splices = []
+        for splice in stream.due(stamp_ns, 0):
+            splices.append(splice)
+            stream.send(resting(0.0))
+        assert splices == [5], stamp_ns
+    due_ns = [decode_chunk(payload).stamp_ns for payload in sent]
+    assert due_ns == [k * 20_000_000 + 24_000_000 for k in range(3, 700)]
 
 
 def test_late_stream_splices_further_along_the_braking_tail() -> None:
