@@ -72,3 +72,14 @@ def test_bad_input_is_one_line(
     error = capsys.readouterr().err
     assert said in error
     assert error.count("\n") == 1
+
+
+def test_the_former_flag_still_works_but_is_not_told(capsys: pytest.CaptureFixture[str]) -> None:
+    for command in ("evaluate", "train", "deploy", "robot"):
+        with pytest.raises(SystemExit):
+            main([command, "--help"])
+        told = capsys.readouterr().out
+        assert "--variation" in told
+        assert "twin" not in told
+    assert main(["evaluate", "--agent", "zero", *OPC, "--twin=nowhere.yaml"]) == 2
+    assert "no variation file nowhere.yaml" in capsys.readouterr().err

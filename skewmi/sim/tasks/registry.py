@@ -6,7 +6,7 @@ import functools
 import importlib
 import inspect
 from collections.abc import Callable
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import entry_points
 from typing import Any, TypeVar
 
 from skewmi.batch_env import BatchEnv
@@ -39,14 +39,20 @@ def register(name: str, where: str) -> None:
         )
     if _registered.setdefault(name, where) != where:
         raise ConfigurationError(
-            f"two tasks are called {name!r}: {_registered[name]} and {where}; rename one"
+            f"2 tasks are called {name!r}: {_registered[name]} and {where}; rename one"
         )
     find.cache_clear()
 
 
 @functools.cache
-def _of_other_packages() -> dict[str, EntryPoint]:
-    return {point.name: point for point in entry_points(group=GROUP)}
+def _of_other_packages() -> dict[str, tuple[str, ...]]:
+    """Where other packages say that tasks are, by name: one place, unless two packages clash."""
+    found: dict[str, tuple[str, ...]] = {}
+    for point in entry_points(group=GROUP):
+        # One package may be found twice, as where it was edited and where it is installed.
+        places = found.get(point.name, ())
+        found[point.name] = places if point.value in places else (*places, point.value)
+    return found
 
 
 def names() -> tuple[str, ...]:
@@ -67,18 +73,16 @@ def find(name: str) -> TaskSpec:
         NotFoundError: There is no such task; the message lists those that exist.
         ConfigurationError: Its package cannot be imported, or is no task's.
     """
-    points = _of_other_packages()
-    if name in _registered:
-        where = _registered[name]
-        if name in points and points[name].value != where:
-            raise ConfigurationError(
-                f"two tasks are called {name!r}: {where} and {points[name].value}; uninstall the "
-                "package of the latter, or rename its task"
-            )
-    elif name in points:
-        where = points[name].value
-    else:
+    ours = (_registered[name],) if name in _registered else ()
+    places = tuple(dict.fromkeys((*ours, *_of_other_packages().get(name, ()))))
+    if not places:
         raise NotFoundError(f"no task {name!r}; tasks are {', '.join(names())}")
+    if len(places) > 1:
+        raise ConfigurationError(
+            f"{len(places)} tasks are called {name!r}: {', '.join(places)}; uninstall the packages "
+            "of all but one, or rename their tasks"
+        )
+    where = places[0]
     module, _, attribute = where.partition(":")
     try:
         spec = getattr(importlib.import_module(module), attribute)

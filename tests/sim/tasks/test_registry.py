@@ -41,10 +41,11 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 def install(site: Path, task: str, where: str, text: str) -> None:
     """What pip leaves of a package with one module and one entry point."""
-    (site / f"{where.partition(':')[0]}.py").write_text(text)
-    info = site / f"{task}-1.0.dist-info"
+    module = where.partition(":")[0]
+    (site / f"{module}.py").write_text(text)
+    info = site / f"{module}-1.0.dist-info"
     info.mkdir()
-    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {task}\nVersion: 1.0\n")
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {module}\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text(f"[{registry.GROUP}]\n{task} = {where}\n")
     registry._of_other_packages.cache_clear()
 
@@ -94,12 +95,26 @@ def test_what_is_no_task_is_refused_when_it_is_asked_for(
 
 def test_two_tasks_of_one_name_are_refused(site: Path) -> None:
     name = tasks.default()
-    with pytest.raises(ConfigurationError, match="two tasks are called"):
+    with pytest.raises(ConfigurationError, match="2 tasks are called"):
         tasks.register(name, "elsewhere:SPEC")
     install(site, name, "mine:SPEC", THIRD_PARTY.format(name=name))
     assert tasks.names().count(name) == 1
-    with pytest.raises(ConfigurationError, match="two tasks are called"):
+    with pytest.raises(ConfigurationError, match="2 tasks are called"):
         tasks.find(name)
+
+
+def test_two_other_packages_with_a_task_of_one_name_are_refused(site: Path) -> None:
+    install(site, "sort_mail", "mail_task:SPEC", THIRD_PARTY.format(name="sort_mail"))
+    install(site, "sort_mail", "post_task:SPEC", THIRD_PARTY.format(name="sort_mail"))
+    with pytest.raises(ConfigurationError, match=r"mail_task:SPEC.*post_task:SPEC|uninstall"):
+        tasks.find("sort_mail")
+
+
+def test_gymnasium_knows_a_task_of_another_package(site: Path) -> None:
+    from skewmi.sim import gym_envs
+
+    assert gym_envs.gym_id("sort_mail") == "skewmi/SortMail-v0"
+    assert {gym_envs.gym_id(name) for name in tasks.names()} <= set(gym_envs.IDS)
 
 
 @pytest.mark.parametrize("name", ["", "Sort", "sort-mail", "2sort", "sort mail"])
