@@ -11,9 +11,9 @@ import numpy as np
 
 from skewmi.batch_env import Condition, Event, GridAxis, TaskMetrics
 from skewmi.policy_io import Ball, Field
+from skewmi.sim.arm.arm_task import ArmTask, SensedJoint
 from skewmi.sim.arm.spec import arm_task_spec
 from skewmi.sim.arm.table import GREY, STIFF_FRICTION, STIFF_LIMIT, add_box
-from skewmi.sim.arm.task import ArmTask, SensedJoint
 from skewmi.sim.arm.variation_keys import ARM_KEYS, joint_key, pose_keys
 from skewmi.sim.task_spec import Caption
 from skewmi.sim.variation import VariationKey, Variations

@@ -20,7 +20,7 @@ from skewmi.errors import ConfigurationError
 from skewmi.policy_io import Array, PolicyLayout
 
 if TYPE_CHECKING:
-    from skewmi.sim.arm.task import ArmTask
+    from skewmi.sim.arm.arm_task import ArmTask
     from skewmi.sim.task_spec import Caption
 
 

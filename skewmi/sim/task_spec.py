@@ -12,7 +12,7 @@ from skewmi.policy_io import PolicyLayout
 from skewmi.sim.variation import Variations
 
 if TYPE_CHECKING:
-    from skewmi.sim.arm.task import ArmTask
+    from skewmi.sim.arm.arm_task import ArmTask
     from skewmi.sim.offscreen import Image
 
 

@@ -21,12 +21,12 @@ from skewmi.policy_io import (
     inside_region,
 )
 from skewmi.sim.arm import definition, reach
+from skewmi.sim.arm.arm_task import ArmTask
 from skewmi.sim.arm.batch_variation import BatchVariation
 from skewmi.sim.arm.command_path import CommandPath
 from skewmi.sim.arm.diagnostics import Diagnostics
 from skewmi.sim.arm.randomization import Randomization
 from skewmi.sim.arm.scene import ArmScene, hand_rotation, workspace_of
-from skewmi.sim.arm.task import ArmTask
 from skewmi.sim.checks import checked_action, checked_num_envs
 from skewmi.sim.variation import ModelVariation, VariationSample
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from skewmi.policy_io import Array, PolicyLayout
 from skewmi.robot_models import yumi
-from skewmi.sim.arm.task import ArmTask
+from skewmi.sim.arm.arm_task import ArmTask
 
 STOP_MARGIN = 0.003
 """How far the soft stops of the fingers give way, m."""

@@ -13,9 +13,9 @@ import numpy as np
 from skewmi.policy_io import Array, PolicyLayout, Workspace
 from skewmi.robot_models import frames, kinematics, mjcf, yumi
 from skewmi.sim.arm import table
+from skewmi.sim.arm.arm_task import ArmTask
 from skewmi.sim.arm.definition import SIM_DT
 from skewmi.sim.arm.randomization import Randomization
-from skewmi.sim.arm.task import ArmTask
 
 HAND_FORCE_SENSOR = "hand_contact_force"
 """Net contact force on hand and wrist (axis 6 and beyond), world axes, N."""

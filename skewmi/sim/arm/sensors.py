@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skewmi.policy_io import Array
+from skewmi.sim.arm.arm_task import ArmTask
 from skewmi.sim.arm.definition import SIM_DT
-from skewmi.sim.arm.task import ArmTask
 from skewmi.sim.arm.variation_keys import DELAY_MS, JOINT_NOISE
 from skewmi.sim.variation import ModelVariation, VariationSample
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
+from skewmi.sim.arm.arm_task import LAYOUT_SWITCHES, ArmTask
 from skewmi.sim.arm.batch import ArmBatch
 from skewmi.sim.arm.camera import ArmCamera
-from skewmi.sim.arm.task import LAYOUT_SWITCHES, ArmTask
 from skewmi.sim.task_spec import TaskSpec
 
 

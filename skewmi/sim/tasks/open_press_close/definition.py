@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from skewmi.policy_io import Array, Ball, Field
 from skewmi.robot_models import yumi
+from skewmi.sim.arm.arm_task import ArmTask, SensedJoint
 from skewmi.sim.arm.reach import STOP_MARGIN, TIP
-from skewmi.sim.arm.task import ArmTask, SensedJoint
 from skewmi.sim.arm.variation_keys import (
     CONTACT_KEYS,
     GRIPPER_KEYS,

@@ -70,6 +70,12 @@ def build_scene() -> mujoco.MjSpec:
         pos=[*centre, _CAMERA_HEIGHT],
         fovy=math.degrees(2.0 * math.atan(_VIEW_HALF_WIDTH / _CAMERA_HEIGHT)),
     )
+    _add_point(world)
+    return spec
+
+
+def _add_point(world: mujoco.MjsBody) -> None:
+    """Add the point: a sphere that collides, and a larger one to be seen."""
     body = world.add_body(name="point", pos=[0.0, 0.0, 0.5 * _WALL_HEIGHT])
     for name, axis in (("x", [1.0, 0.0, 0.0]), ("y", [0.0, 1.0, 0.0])):
         body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
@@ -85,7 +91,6 @@ def build_scene() -> mujoco.MjSpec:
         contype=0,
         conaffinity=0,
     )
-    return spec
 
 
 class MazePicture:

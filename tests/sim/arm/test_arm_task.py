@@ -11,10 +11,10 @@ import pytest
 from skewmi.errors import ConfigurationError
 from skewmi.policy_io import TIME_FIELD, Ball, Field
 from skewmi.robot_models import servo, yumi
+from skewmi.sim.arm.arm_task import ArmTask, SensedJoint
 from skewmi.sim.arm.batch import ArmBatch
 from skewmi.sim.arm.scene import ArmScene
 from skewmi.sim.arm.table import add_box
-from skewmi.sim.arm.task import ArmTask, SensedJoint
 from skewmi.sim.arm.variation_keys import ARM_KEYS, joint_key
 from skewmi.sim.variation import VariationKey, Variations
 
