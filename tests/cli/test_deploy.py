@@ -6,13 +6,13 @@ import json
 import signal
 import subprocess
 import sys
-import threading
 import time
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from rich.console import Console
+from robot_servers import once_running
 from tiny_policy import write_policy
 
 from skewmi.cli.deploy import print_report
@@ -120,8 +120,7 @@ def test_run_that_was_stopped_exits_1_and_tells_why(
     tiny: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with spawn_robot("sim", "open_press_close", "lab", lock_step=False) as locator:
-        stopper = threading.Timer(3.0, lambda: main(["stop", "--json", "--connect", locator]))
-        stopper.start()
+        stopper = once_running(locator, lambda: main(["stop", "--json", "--connect", locator]))
         arguments = ["deploy", str(tiny), "--connect", locator, "--episodes", "2", "--json"]
         assert main(arguments) == 1
         stopper.join()
@@ -144,9 +143,11 @@ def test_interrupted_command_exits_130(tiny: Path, number: signal.Signals) -> No
         # The tests themselves may run under nohup.
         preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),
     )
+    assert child.stderr is not None
+    child.stderr.readline()  # From its first words on it ends smoothly.
     time.sleep(6.0)
     child.send_signal(number)
-    out, err = child.communicate(timeout=20.0)
+    out, err = child.communicate(timeout=60.0)
     assert child.returncode == 130, err
     assert "Traceback" not in err
     if out:  # interrupted in an episode; else before one

@@ -6,14 +6,13 @@ import json
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 from skewmi.deploy.robot.process import free_port
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.transport import Link, TransportConfig
 
 
-def test_robot_server_tells_each_change_of_state_and_what_it_was_granted(tiny: Path) -> None:
+def test_robot_server_tells_each_change_of_state_and_what_it_was_granted() -> None:
     locator = f"tcp/127.0.0.1:{free_port()}"
     command = [sys.executable, "-m", "skewmi.cli.main", "robot", "--listen", locator, "--json"]
     robot = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)

@@ -37,10 +37,15 @@ def test_skewmi_stop_stops_a_run_within_limits(
     robot: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     codes = []
-    stopper = threading.Timer(2.5, lambda: codes.append(main(["stop", "--connect", robot])))
-    stopper.start()
+    stopper = threading.Thread(target=lambda: codes.append(main(["stop", "--connect", robot])))
+
+    def begin_to_stop(action: Array) -> Array:
+        stopper.start()
+        return action
+
     path = tmp_path / "run.mcap"
-    report = run_deploy(Scripted(), DeployOptions(episodes=3, connect=robot, record=path))
+    options = DeployOptions(episodes=3, connect=robot, record=path)
+    report = run_deploy(Scripted(8, begin_to_stop), options)
     stopper.join()
     assert codes == [0]
     assert "disarmed" in capsys.readouterr().out
@@ -53,10 +58,14 @@ def test_skewmi_stop_stops_a_run_within_limits(
 
 def test_interrupt_stops_smoothly(robot: str, tmp_path: Path) -> None:
     stop = threading.Event()
-    threading.Timer(2.0, stop.set).start()
+
+    def interrupt(action: Array) -> Array:
+        stop.set()
+        return action
+
     path = tmp_path / "run.mcap"
     options = DeployOptions(episodes=3, connect=robot, record=path)
-    report = run_deploy(Scripted(), options, stop=stop)
+    report = run_deploy(Scripted(8, interrupt), options, stop=stop)
     assert report.interrupted
     assert [episode.outcome for episode in report.episodes] == ["stopped"]
     assert describe(robot).state == "disarmed"
@@ -83,7 +92,7 @@ def test_killed_session_leaves_the_arm_at_rest_within_limits(robot: str, tmp_pat
         )
         with Link.open(TransportConfig.for_client(robot), "watcher") as link:
             states = link.subscribe(topics.YUMI_JOINT_STATES)
-            deadline = time.monotonic() + 30.0
+            deadline = time.monotonic() + 60.0
             speed = 0.0
             began = 0.0
             while not (speed > 0.15 and began and time.monotonic() - began > 0.7):
@@ -142,17 +151,23 @@ def test_silent_robot_server_stops_the_run_as_stale(tmp_path: Path) -> None:
 def test_second_session_is_refused_and_the_first_goes_on(robot: str) -> None:
     reports = {}
 
-    def second() -> None:
+    def run_second() -> None:
         reports["second"] = run_deploy(Scripted(), DeployOptions(connect=robot))
 
-    timer = threading.Timer(1.5, second)
-    timer.start()
+    second = threading.Thread(target=run_second)
 
-    def enough(action: Array) -> Array:
-        raise ValueError("enough")
+    class First(Scripted):
+        """Goes on until the second has been refused."""
 
-    reports["first"] = run_deploy(Scripted(40, enough), DeployOptions(connect=robot))
-    timer.join()
+        def act(self, observation: Array) -> Array:
+            if self.count == 10:
+                second.start()
+            if self.count >= 39 and "second" in reports:
+                raise ValueError("enough")
+            return super().act(observation)
+
+    reports["first"] = run_deploy(First(), DeployOptions(connect=robot))
+    second.join()
     assert reports["first"].episodes[0].steps >= 39
     assert "enough" in reports["first"].episodes[0].reason
     refused = reports["second"].episodes[0]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
@@ -13,20 +13,21 @@ from skewmi.deploy.robot.backends import BackendOptions
 from skewmi.deploy.robot.description import RobotDescription, limit_values
 from skewmi.deploy.robot.process import free_port
 from skewmi.deploy.robot.run import serve_robot
+from skewmi.deploy.session.states import STATUS_NAME, SessionState
 from skewmi.deploy.wire import topics
-from skewmi.deploy.wire.transport import Link, TransportConfig
+from skewmi.deploy.wire.messages import decode_status
+from skewmi.deploy.wire.transport import Link, Sample, TransportConfig
 from skewmi.robot_models import limits as joint_limits
 from skewmi.robot_models import yumi
 from skewmi.sim.tasks.open_press_close.definition import make_layout
 from skewmi.trajectory import CYCLE_NS, GRID_NS
 
 LAB = joint_limits.profile("lab")
-
-
 NAMES = yumi.joint_names("right")
 
 
 def description(**changes: Any) -> RobotDescription:
+    """What a simulated robot server says that agrees with this version, but for the changes."""
     base = RobotDescription(
         backend="sim",
         task="open_press_close",
@@ -77,3 +78,24 @@ def call(locator: str, service: topics.Service, extra: bytes = b"") -> tuple[boo
 
 def describe(locator: str) -> RobotDescription:
     return RobotDescription.from_json(call(locator, topics.YUMI_DESCRIBE)[1])
+
+
+def once_running(locator: str, what: Callable[[], object]) -> threading.Thread:
+    """Do something when a policy commands the arm; a thread that has been started."""
+
+    def watch() -> None:
+        with Link.open(TransportConfig.for_client(locator), "watcher") as link:
+            statuses = link.subscribe(topics.YUMI_STATUS, depth=None)
+            deadline = time.monotonic() + 60.0
+            while not any(map(_says_running, statuses.drain())) and time.monotonic() < deadline:
+                time.sleep(0.05)
+        what()
+
+    thread = threading.Thread(target=watch)
+    thread.start()
+    return thread
+
+
+def _says_running(sample: Sample) -> bool:
+    status = decode_status(sample.payload)
+    return status.name == STATUS_NAME and status.values["state"] == SessionState.RUNNING.value

@@ -62,8 +62,8 @@ def executed(chunks: list[TrajectoryChunk]) -> list[np.ndarray]:
     return [np.array([points[t] for t in sorted(points)]) for points in stretches]
 
 
-def limit_shares(q: np.ndarray) -> dict[str, float]:
-    """Velocity, acceleration and jerk by differences on the grid, as shares of their limits.
+def limit_fractions(q: np.ndarray) -> dict[str, float]:
+    """Velocity, acceleration and jerk by differences on the grid, as fractions of their limits.
 
     The arm rests before and after, which counts, too.
     """
@@ -92,7 +92,7 @@ def assert_limits_kept(path: Path) -> dict[str, float]:
     for q in executed(chunks):
         assert (q >= LAB.position_lower).all()
         assert (q <= LAB.position_upper).all()
-        for name, share in limit_shares(q).items():
-            worst[name] = max(worst.get(name, 0.0), share)
-            assert share <= 1.0 + 1e-6, (name, share)
+        for name, fraction in limit_fractions(q).items():
+            worst[name] = max(worst.get(name, 0.0), fraction)
+            assert fraction <= 1.0 + 1e-6, (name, fraction)
     return worst

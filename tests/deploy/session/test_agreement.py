@@ -18,8 +18,6 @@ from skewmi.robot_models import yumi
 from skewmi.sim.tasks.open_press_close.definition import make_layout
 
 LAB = joint_limits.profile("lab")
-
-
 NAMES = yumi.joint_names("right")
 
 
