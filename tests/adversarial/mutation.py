@@ -62,8 +62,10 @@ TARGETS = (
         "skewmi/deploy/safety/limits.py",
         (
             "test_limits_bounds.py",
+            "test_limits_form.py",
             "test_limits_ends.py",
             "test_limits_hand.py",
+            "test_limits_box.py",
             "test_limits.py",
         ),
     ),

@@ -8,54 +8,18 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-import ruckig
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from limit_motions import GRID_DT, HALF, LAB, MIDDLE, Chunk, joint_motion, motion, refused
 
 from skewmi.deploy.safety.limits import (
     MAX_SAMPLES,
     ChunkChecker,
     LimitUsage,
 )
-from skewmi.errors import ConfigurationError, LimitViolationError
-from skewmi.policy_io import Array, Workspace
+from skewmi.errors import LimitViolationError
 from skewmi.robot_models import limits, yumi
 from skewmi.robot_models.kinematics import ArmKinematics
-
-GRID_DT = 0.004
-LAB = limits.profile("lab")
-MIDDLE = (LAB.position_lower + LAB.position_upper) / 2
-HALF = (LAB.position_upper - LAB.position_lower) / 2
-Chunk = tuple[Array, Array, Array]
-
-
-def motion(start: Array, end: Array, velocity: Array, acceleration: Array, jerk: Array) -> Chunk:
-    """Rest-to-rest motion on the grid under the given bounds, joints independent."""
-    request = ruckig.InputParameter(7)
-    request.synchronization = ruckig.Synchronization.No
-    request.current_position, request.target_position = start.tolist(), end.tolist()
-    request.max_velocity, request.max_acceleration = velocity.tolist(), acceleration.tolist()
-    request.max_jerk = jerk.tolist()
-    trajectory = ruckig.Trajectory(7)
-    ruckig.Ruckig(7).calculate(request, trajectory)
-    n = int(np.ceil(trajectory.duration / GRID_DT - 1e-9)) + 1
-    samples = np.array([trajectory.at_time(k * GRID_DT) for k in range(n)])
-    q, v, a = (samples[:, i].copy() for i in range(3))
-    v[-1], a[-1] = 0.0, 0.0
-    return q, v, a
-
-
-def joint_motion(joint: int, distance: float, **factors: float) -> Chunk:
-    """One joint moves from the middle; `factors` scale the lab profile's bounds."""
-    end = MIDDLE.copy()
-    end[joint] += distance
-    return motion(
-        MIDDLE,
-        end,
-        LAB.velocity * factors.get("velocity", 1.0),
-        LAB.acceleration * factors.get("acceleration", 1.0),
-        LAB.jerk * factors.get("jerk", 1.0),
-    )
 
 
 @pytest.fixture(scope="module")
@@ -67,12 +31,6 @@ def chunk() -> Chunk:
 @pytest.fixture(scope="module")
 def checker() -> ChunkChecker:
     return ChunkChecker(LAB)
-
-
-def refused(checker: ChunkChecker, chunk: Chunk, **options: object) -> LimitViolationError:
-    with pytest.raises(LimitViolationError) as caught:
-        checker.check(*chunk, **options)  # type: ignore[arg-type]
-    return caught.value
 
 
 @pytest.mark.parametrize("joint", range(7))
@@ -247,70 +205,6 @@ def test_limits_hold_across_the_splice(checker: ChunkChecker, chunk: Chunk) -> N
     refused(checker, later, before=skipped)  # type: ignore[arg-type]
     broken = (np.full(7, np.nan), before[1], before[2])
     refused(checker, later, before=broken)  # type: ignore[arg-type]
-
-
-BASE = np.array([-0.4, 0.1, 0.2])
-
-
-def box_around(position_b: Array, half: float) -> Workspace:
-    """A cube around a position of the robot base frame, in a world where the base is at BASE."""
-    position = position_b + BASE
-    return Workspace(
-        low=tuple((position - half).tolist()),
-        high=tuple((position + half).tolist()),
-        start=tuple(position.tolist()),
-        base_position=tuple(BASE.tolist()),
-        hand_quaternion_wxyz=(1.0, 0.0, 0.0, 0.0),
-        free_lead=1.0,
-        held_lead=0.3,
-        stop_lead=0.45,
-        start_configuration=tuple(MIDDLE.tolist()),
-        gripper_opening=0.01,
-    )
-
-
-def test_tool_speed() -> None:
-    forward = ArmKinematics("right").forward
-    q = yumi.HOME["right"]
-    lever = np.linalg.norm(ArmKinematics("right").jacobian(q)[:3, 0])
-    start = np.array(q)
-    end = start + np.array([0.5, 0, 0, 0, 0, 0, 0])
-    for speed, good in ((0.24, True), (0.26, False)):
-        velocity = np.full(7, speed / lever)
-        chunk = motion(start, end, velocity, LAB.acceleration, LAB.jerk)
-        checker = ChunkChecker(LAB, forward=forward)
-        if good:
-            assert checker.check(*chunk).tcp_speed == pytest.approx(0.24 / 0.25, rel=5e-3)
-        else:
-            assert "tool speed" in refused(checker, chunk).limit
-
-
-def test_workspace_box_with_tolerance() -> None:
-    forward = ArmKinematics("right").forward
-    start = np.array(yumi.HOME["right"])
-    slow = np.full(7, 0.1)
-    end = start + 0.05
-    chunk = motion(start, end, slow, LAB.acceleration, LAB.jerk)
-    travelled = np.abs(forward(chunk[0])[0] - forward(start)[0]).max()
-    position = forward(start)[0]
-    inside = ChunkChecker(LAB, box_around(position, travelled - 0.0049), forward)
-    expected = travelled / (travelled - 0.0049)
-    assert inside.check(*chunk).workspace == pytest.approx(expected, rel=1e-9)
-    # A box that lies to one side: the fraction counts from its own middle.
-    beside = ChunkChecker(LAB, box_around(position + 0.01, 0.05), forward)
-    away = np.abs(forward(chunk[0])[0] - position - 0.01).max()
-    assert beside.check(*chunk).workspace == pytest.approx(away / 0.05, rel=1e-9)
-    outside = ChunkChecker(LAB, box_around(position, travelled - 0.0051), forward)
-    assert "workspace" in refused(outside, chunk).limit
-
-
-def test_configuration_errors() -> None:
-    with pytest.raises(ConfigurationError, match="forward"):
-        ChunkChecker(LAB, box_around(np.zeros(3), 1.0))
-    with pytest.raises(ConfigurationError, match="grid_dt"):
-        ChunkChecker(LAB, grid_dt=0.0)
-    with pytest.raises(ConfigurationError, match="tcp_speed"):
-        ChunkChecker(LAB, tcp_speed=-1.0)
 
 
 def test_usage_merges_and_lists() -> None:
