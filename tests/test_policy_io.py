@@ -22,11 +22,9 @@ from skewmi.policy_io import (
     PolicyLayout,
     Workspace,
     assemble_observation,
-    episode_success,
-    first_success_step,
-    inside_region,
     require_same_layout,
 )
+from skewmi.success import episode_success, first_success_step, inside_region
 
 WORKSPACE = Workspace(
     low=(-0.019, -0.155, 0.19),

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from skewmi.policy_io import Array, PolicyLayout, inside_region
+from skewmi.policy_io import Array, PolicyLayout
+from skewmi.success import inside_region
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

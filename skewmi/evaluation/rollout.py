@@ -14,13 +14,8 @@ from numpy.typing import NDArray
 
 from skewmi.batch_env import BatchEnv, StepResult
 from skewmi.errors import ConfigurationError
-from skewmi.policy_io import (
-    Array,
-    Policy,
-    PolicyLayout,
-    first_success_step,
-    require_same_layout,
-)
+from skewmi.policy_io import Array, Policy, PolicyLayout, require_same_layout
+from skewmi.success import first_success_step
 
 Observer = Callable[[StepResult, int], None]
 """Called after every step with its result and how many of the environments count, the first ones:
@@ -50,7 +45,7 @@ class Episodes:
 
     @property
     def first_success_step(self) -> NDArray[np.int64]:
-        """See `policy_io.first_success_step`. Shape (n,)."""
+        """See `success.first_success_step`. Shape (n,)."""
         return first_success_step(self.layout, self.in_region)
 
     @property

@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 from skewmi.errors import ConfigurationError, LayoutMismatchError
 from skewmi.evaluation.agents import RandomAgent, ZeroAgent
 from skewmi.evaluation.rollout import run_episodes, summarise, wilson_interval
-from skewmi.policy_io import Array, PolicyLayout, first_success_step, inside_region
+from skewmi.policy_io import Array, PolicyLayout
 from skewmi.sim import tasks
+from skewmi.success import first_success_step, inside_region
 
 TARGET = np.array([-4.0, 0.0])
 

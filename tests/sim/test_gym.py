@@ -14,9 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from skewmi.errors import ConfigurationError
-from skewmi.policy_io import Ball, PolicyLayout, inside_region
+from skewmi.policy_io import Ball, PolicyLayout
 from skewmi.sim import gym_envs, tasks
 from skewmi.sim.goals import RegionGoals
+from skewmi.success import inside_region
 
 IDS = tuple(gym_envs.IDS)
 MAZE = "skewmi/PointMaze-v0"

@@ -11,11 +11,11 @@ import pytest
 from scripted_open_press_close import ScriptedOpenPressClose
 
 from skewmi.errors import ConfigurationError
-from skewmi.policy_io import first_success_step
 from skewmi.sim import tasks
 from skewmi.sim.arm.batch import ArmBatch
 from skewmi.sim.tasks.open_press_close.definition import ARM
 from skewmi.sim.variation import NOMINAL
+from skewmi.success import first_success_step
 
 VARIATIONS = ARM.variations
 KEYS = {key.name: key for key in VARIATIONS.keys}

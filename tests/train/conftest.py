@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from skewmi.batch_env import Condition, Event, GridAxis, StepResult, TaskMetrics
-from skewmi.policy_io import ActionField, Array, Ball, Field, PolicyLayout, inside_region
+from skewmi.policy_io import ActionField, Array, Ball, Field, PolicyLayout
+from skewmi.success import inside_region
 from skewmi.train.config import MetricsConfig, RolloutConfig, TrainConfig
 from skewmi.train.exploration.skew_explore import SkewExploreConfig
 from skewmi.train.replay import Episodes, Replay

@@ -24,8 +24,8 @@ from skewmi.deploy.replay.data import (
 from skewmi.deploy.wire import messages, topics
 from skewmi.deploy.wire.messages import JointStates, Status
 from skewmi.errors import ConfigurationError, TransportError
-from skewmi.policy_io import first_success_step, inside_region
 from skewmi.robot_models import yumi
+from skewmi.success import first_success_step, inside_region
 from skewmi.trajectory import TrajectoryChunk
 
 _COMPARED_S = 10.0

@@ -13,7 +13,8 @@ from skewmi.deploy.session.robot_client import RobotClient
 from skewmi.deploy.session.stream import ChunkStream
 from skewmi.deploy.session.timing import CycleTimes
 from skewmi.hand_command import integrate_command
-from skewmi.policy_io import Array, Policy, inside_region
+from skewmi.policy_io import Array, Policy
+from skewmi.success import inside_region
 from skewmi.trajectory import CYCLE_NS, CYCLE_TICKS, JointTrajectory
 
 

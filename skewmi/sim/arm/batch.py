@@ -13,13 +13,7 @@ from numpy.typing import NDArray
 
 from skewmi.batch_env import StepResult
 from skewmi.errors import ConfigurationError, SimulationError
-from skewmi.policy_io import (
-    TIME_FIELD,
-    Array,
-    PolicyLayout,
-    assemble_observation,
-    inside_region,
-)
+from skewmi.policy_io import TIME_FIELD, Array, PolicyLayout, assemble_observation
 from skewmi.sim.arm import definition, reach
 from skewmi.sim.arm.arm_task import ArmTask
 from skewmi.sim.arm.batch_variation import BatchVariation
@@ -29,6 +23,7 @@ from skewmi.sim.arm.randomization import Randomization
 from skewmi.sim.arm.scene import ArmScene, hand_rotation, workspace_of
 from skewmi.sim.checks import checked_action, checked_num_envs
 from skewmi.sim.variation import ModelVariation, VariationSample
+from skewmi.success import inside_region
 
 
 class ArmBatch:

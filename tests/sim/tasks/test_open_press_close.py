@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from skewmi.errors import ConfigurationError, KinematicsError
-from skewmi.policy_io import inside_region
 from skewmi.robot_models import frames, kinematics
 from skewmi.sim.arm import definition as arm_definition
 from skewmi.sim.arm.batch import ArmBatch
@@ -16,6 +15,7 @@ from skewmi.sim.arm.reach import HAND_MARGIN, reachable
 from skewmi.sim.arm.scene import ArmScene, workspace_of
 from skewmi.sim.tasks.open_press_close import definition, parts
 from skewmi.sim.tasks.open_press_close.definition import ARM
+from skewmi.success import inside_region
 
 LAYOUT = definition.make_layout()
 WORKSPACE = workspace_of(LAYOUT)

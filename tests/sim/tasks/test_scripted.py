@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scripted_open_press_close import ScriptedOpenPressClose
 
-from skewmi.policy_io import first_success_step
 from skewmi.sim.arm.batch import ArmBatch
 from skewmi.sim.tasks.open_press_close.definition import ARM
+from skewmi.success import first_success_step
 
 NUM_ENVS = 6
 

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from skewmi.batch_env import StepResult
 from skewmi.errors import ConfigurationError
-from skewmi.policy_io import TIME_FIELD, Array, PolicyLayout, assemble_observation, inside_region
+from skewmi.policy_io import TIME_FIELD, Array, PolicyLayout, assemble_observation
 from skewmi.sim.checks import checked_action, checked_num_envs
 from skewmi.sim.tasks.point_maze import maze
+from skewmi.success import inside_region
 
 
 class PointMazeBatch:
