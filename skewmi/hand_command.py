@@ -5,11 +5,11 @@ the workspace box, and close to the hand: an arm that cannot follow would otherw
 against whatever holds it, as far as its servos can. Distances between command and hand are
 measured in full actions.
 
-- A hand that follows may be led by `Workspace.free_lead`.
-- A hand that is held up may be led by `held_lead` from the next step on, until it moves again:
-  its stall is remembered, or a command that has come back would lunge again and again.
+- A hand that follows may be led by `Workspace.free_following_error`.
+- A hand that is held up may be led by `held_following_error` from the next step on, until it
+  moves again: its stall is remembered, or a command that has come back would lunge again.
 - Within a step, whoever moves the command looks every 20 ms and ends it where the stall exceeds
-  `stop_lead`.
+  `stop_blockage`.
 
 Numpy only.
 """
@@ -28,8 +28,8 @@ of 0.1 s it is 40 ms, as late as users of ABB's externally guided motion report 
 FADING = 0.8
 """Of a remembered stall per control step."""
 NOTICED_STALL = 0.6
-"""Share of `held_lead` from which on a stall shortens the lead; at all of it the lead is
-`held_lead`, so that pushing on settles there."""
+"""Share of `held_following_error` from which on a stall shortens the lead; at all of it the lead is
+`held_following_error`, so that pushing on settles there."""
 
 
 def stalled(layout: PolicyLayout, error_w: Array, hand_travel_w: Array) -> Array:
@@ -102,8 +102,12 @@ def integrate_command(
         raise ConfigurationError(f"task {layout.task!r} has no workspace to command a hand in")
     scale = layout.action_scale[:3]
     error_w = command_position_w - hand_position_w
-    share = np.clip((stall / workspace.held_lead - NOTICED_STALL) / (1.0 - NOTICED_STALL), 0.0, 1.0)
-    bound = workspace.free_lead + share * (workspace.held_lead - workspace.free_lead)
+    share = np.clip(
+        (stall / workspace.held_following_error - NOTICED_STALL) / (1.0 - NOTICED_STALL), 0.0, 1.0
+    )
+    bound = workspace.free_following_error + share * (
+        workspace.held_following_error - workspace.free_following_error
+    )
     lead = error_w / scale + np.clip(action[..., :3], -1.0, 1.0)
     distance = np.linalg.norm(lead, axis=-1)
     lead = lead * np.minimum(1.0, bound / np.maximum(distance, 1e-12))[..., None]

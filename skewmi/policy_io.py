@@ -1,7 +1,7 @@
 """What a policy sees and does: one description shared by simulation, training and deployment.
 
-`sim` and `deploy` both call `assemble_observation` (and `hand_command.integrate_command`), so that
-a policy meets on the robot exactly what it met in training. The description travels inside every
+`sim` and `deploy` both call `assemble_observation` (and use one `CommandIntegrator`), so that a
+policy meets on the robot exactly what it met in training. The description travels inside every
 checkpoint and ONNX file; its hash is compared before anything runs.
 
 This module needs numpy only.
@@ -12,7 +12,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any, Protocol
 
 import numpy as np
@@ -85,7 +85,8 @@ class Workspace:
     All vectors are in metres in the task's world frame, whose axes are parallel to the robot
     base frame; `base_position` is the origin of the robot base frame in it. The hand frame is
     the flange (tool0), z out of the flange. `hand_quaternion_wxyz` is its constant orientation
-    in world. The leads are in full actions: each axis of a distance divided by its action scale.
+    in world. Following errors and blockages are in full actions: each axis of a distance divided
+    by its action scale. What they mean is told by `command_integrator`.
     """
 
     low: tuple[float, float, float]
@@ -93,16 +94,24 @@ class Workspace:
     start: tuple[float, float, float]
     base_position: tuple[float, float, float]
     hand_quaternion_wxyz: tuple[float, float, float, float]
-    free_lead: float
-    """How far the command may run ahead of a hand that follows it; see `hand_command`."""
-    held_lead: float
-    """The same where something holds the hand up: bounds the force that the servos build up."""
-    stop_lead: float
-    """Stall at which a command stops before its step is over."""
+    free_following_error: float
+    """How far the command may be ahead of a hand that follows it."""
+    held_following_error: float
+    """The same where something blocks the hand: bounds the force that the servos build up."""
+    stop_blockage: float
+    """Blockage at which a command stops before its step is over."""
     start_configuration: tuple[float, ...]
     """Joint angles, chain order 1,2,7,3,4,5,6, rad, that put the hand at `start`."""
     gripper_opening: float
     """Travel of each finger from closed while the action has no gripper component, m."""
+
+
+WORKSPACE_KEYS = {
+    "free_following_error": "free_lead",
+    "held_following_error": "held_lead",
+    "stop_blockage": "stop_lead",
+}
+"""Fields of `Workspace` that are called otherwise in a layout's JSON: that is part of the hash."""
 
 
 @dataclass(frozen=True)
@@ -177,6 +186,11 @@ class PolicyLayout:
     def to_json(self) -> str:
         """Canonical JSON at full precision (floats by repr, keys sorted)."""
         content = {"layout_version": LAYOUT_VERSION, **asdict(self)}
+        if content["workspace"] is not None:
+            content["workspace"] = {
+                WORKSPACE_KEYS.get(name, name): value
+                for name, value in content["workspace"].items()
+            }
         return json.dumps(content, sort_keys=True, separators=(",", ":"))
 
     def hash(self) -> str:
@@ -206,13 +220,22 @@ class PolicyLayout:
                     Ball(tuple(ball["fields"]), tuple(ball["centre"]), ball["radius"])
                     for ball in content.pop("reward_region")
                 ),
-                workspace=None
-                if workspace is None
-                else Workspace(**{k: _as_tuple(v) for k, v in workspace.items()}),
+                workspace=None if workspace is None else _workspace(workspace),
                 **content,
             )
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise LayoutMismatchError(f"not a policy layout: {error}") from error
+
+
+def _workspace(content: dict[str, Any]) -> Workspace:
+    left = dict(content)
+    values = {
+        name: _as_tuple(left.pop(WORKSPACE_KEYS.get(name, name)))
+        for name in (field.name for field in fields(Workspace))
+    }
+    if left:
+        raise ValueError(f"unknown fields of the workspace: {sorted(left)}")
+    return Workspace(**values)
 
 
 def _as_tuple(value: Any) -> Any:

@@ -26,9 +26,9 @@ WORKSPACE = Workspace(
     start=(-0.009, -0.1345, 0.27),
     base_position=(-0.4, 0.0, 0.0),
     hand_quaternion_wxyz=(0.0, 1.0, 0.0, 0.0),
-    free_lead=1.5,
-    held_lead=0.4,
-    stop_lead=0.6,
+    free_following_error=1.5,
+    held_following_error=0.4,
+    stop_blockage=0.6,
     start_configuration=(0.0,) * 7,
     gripper_opening=0.014,
 )
@@ -77,9 +77,9 @@ def test_command_leads_the_hand_by_no_more_than_allowed(
 ) -> None:
     """From inside the box, clipping to it only shortens the lead: a box is convex."""
     lead = in_actions(integrate_command(LAYOUT, command, action, hand, stall) - hand)
-    assert (lead <= WORKSPACE.free_lead + 1e-9).all()
-    held = stall >= WORKSPACE.held_lead
-    assert (lead[held] <= WORKSPACE.held_lead + 1e-9).all()
+    assert (lead <= WORKSPACE.free_following_error + 1e-9).all()
+    held = stall >= WORKSPACE.held_following_error
+    assert (lead[held] <= WORKSPACE.held_following_error + 1e-9).all()
 
 
 @given(positions, actions, inside_box, stalls, stalls)
@@ -98,10 +98,10 @@ def test_command_against_an_obstacle_settles_at_the_smaller_lead(
     """However the policy pushes: a command that leads by more comes back at once."""
     command, stall, rest = hand, np.array(0.0), np.zeros(3)
     for push in np.concatenate([action, action]):
-        held = in_actions(command - hand) >= WORKSPACE.held_lead
+        held = in_actions(command - hand) >= WORKSPACE.held_following_error
         stall = remembered_stall(LAYOUT, stall, command - hand, rest)
         command = integrate_command(LAYOUT, command, push, hand, stall)
-        assert not held or in_actions(command - hand) <= WORKSPACE.held_lead + 1e-9
+        assert not held or in_actions(command - hand) <= WORKSPACE.held_following_error + 1e-9
 
 
 @given(inside_box, actions, st.floats(0.0, EXPLAINED_DELAY))

@@ -15,6 +15,7 @@ from hypothesis.extra import numpy as hnp
 
 from skewmi.errors import ConfigurationError, LayoutMismatchError
 from skewmi.policy_io import (
+    WORKSPACE_KEYS,
     ActionField,
     Array,
     Ball,
@@ -31,9 +32,9 @@ WORKSPACE = Workspace(
     start=(-0.009, -0.1345, 0.27),
     base_position=(-0.4, 0.0, 0.0),
     hand_quaternion_wxyz=(0.0, math.sqrt(0.5), math.sqrt(0.5), 0.0),
-    free_lead=1.5,
-    held_lead=0.4,
-    stop_lead=0.45,
+    free_following_error=1.5,
+    held_following_error=0.4,
+    stop_blockage=0.45,
     start_configuration=(1.0, -2.0, -1.1, 0.1 + 0.2, 1e-17, 2.0 / 3.0, 5e-324),
     gripper_opening=0.014,
 )
@@ -171,7 +172,18 @@ def test_document_has_every_field_of_the_dataclasses() -> None:
         (DOCUMENT["reward_region"][0], Ball),
         (DOCUMENT["workspace"], Workspace),
     ):
-        assert {f.name for f in dataclasses.fields(kind)} == set(part) - {"layout_version"}
+        keys = {WORKSPACE_KEYS.get(f.name, f.name) for f in dataclasses.fields(kind)}
+        assert keys == set(part) - {"layout_version"}
+
+
+@pytest.mark.parametrize(("name", "key"), WORKSPACE_KEYS.items())
+def test_a_workspace_is_written_and_read_by_its_keys_only(name: str, key: str) -> None:
+    """They are part of the hash of every policy file; Python may call the fields otherwise."""
+    document = json.loads(LAYOUT.to_json())
+    assert document["workspace"][key] == getattr(WORKSPACE, name)
+    document["workspace"][name] = document["workspace"].pop(key)
+    with pytest.raises(LayoutMismatchError, match=key):
+        PolicyLayout.from_json(json.dumps(document))
 
 
 @pytest.mark.parametrize("part", ["observation", "action", "reward_region"])

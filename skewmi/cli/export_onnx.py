@@ -150,8 +150,8 @@ def robot_metadata(env: BatchEnv) -> dict[str, Any]:
                 field.name: value
                 for field, value in zip(layout.action, speed.tolist(), strict=True)
             },
-            "free_lead": layout.workspace.free_lead,
-            "held_lead": layout.workspace.held_lead,
+            "free_lead": layout.workspace.free_following_error,
+            "held_lead": layout.workspace.held_following_error,
         },
     }
 

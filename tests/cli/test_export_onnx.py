@@ -122,8 +122,8 @@ def test_arm_tasks_name_robot_and_limits_and_the_maze_has_none() -> None:
     np.testing.assert_array_equal(
         limits["joint_force"], model.actuator_forcerange[env.scene.arm_ctrl, 1]
     )
-    assert limits["free_lead"] == layout.workspace.free_lead
-    assert limits["held_lead"] == layout.workspace.held_lead
+    assert limits["free_lead"] == layout.workspace.free_following_error
+    assert limits["held_lead"] == layout.workspace.held_following_error
     speed = list(limits["command_speed"].values())
     np.testing.assert_array_equal(speed, layout.action_scale / layout.control_dt)
     json.dumps(arm, allow_nan=False)

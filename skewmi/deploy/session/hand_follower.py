@@ -29,7 +29,7 @@ class HandFollower:
         self, layout: PolicyLayout, observer: Observer, stream: ChunkStream, state: ArmState
     ) -> None:
         assert layout.workspace is not None
-        self._layout, self._stop_lead = layout, layout.workspace.stop_lead
+        self._layout, self._stop_lead = layout, layout.workspace.stop_blockage
         self._observer, self._stream = observer, stream
         self._of_step = self._of_cycle = observer.hand_position(state)
         self._stamp_ns = state.stamp_ns

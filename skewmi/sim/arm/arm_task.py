@@ -123,9 +123,9 @@ class ArmTask:
             start=self.start,
             base_position=(x, y, z),
             hand_quaternion_wxyz=(qw, qx, qy, qz),
-            free_lead=definition.FREE_LEAD,
-            held_lead=definition.HELD_LEAD,
-            stop_lead=definition.STOP_LEAD,
+            free_following_error=definition.FREE_FOLLOWING_ERROR,
+            held_following_error=definition.HELD_FOLLOWING_ERROR,
+            stop_blockage=definition.STOP_BLOCKAGE,
             start_configuration=self.start_configuration,
             gripper_opening=self.gripper_opening,
         )

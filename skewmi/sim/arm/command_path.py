@@ -101,7 +101,7 @@ class CommandPath:
         # A command that comes back to the hand shall do so.
         away = np.linalg.norm(self.position_w - hand_w, axis=1)
         away -= np.linalg.norm(now_w - hand_w, axis=1)
-        stops = self._moving & (away > 0.0) & (stall > self._workspace.stop_lead)
+        stops = self._moving & (away > 0.0) & (stall > self._workspace.stop_blockage)
         held = np.flatnonzero(stops)
         if held.size:
             self._moving[held] = False

@@ -1,4 +1,4 @@
-"""What every task with an arm has in common: time steps, step sizes, how far a command may lead.
+"""What every task with an arm has in common: time steps, step sizes, following errors.
 
 Numbers are from the Skew-Explore "yumi_door_button" environment unless a comment says otherwise.
 """
@@ -25,14 +25,14 @@ FINGER_STEP = 0.0025
 FINGER_MAX = yumi.GRIPPER.travel
 """Travel of a finger from closed to open, m."""
 
-FREE_LEAD = 1.0
-"""How far the command may run ahead of a hand that follows it, in full actions."""
-HELD_LEAD = 0.2
-"""The same where something holds the hand up: 3 mm, which the servos for work in contact turn into
+FREE_FOLLOWING_ERROR = 1.0
+"""How far the command may be ahead of a hand that follows it, in full actions."""
+HELD_FOLLOWING_ERROR = 0.2
+"""The same where something blocks the hand: 3 mm, which the servos for work in contact turn into
 40 N at most (in the stiffest direction; some 7 N sideways)."""
-STOP_LEAD = 0.45
-"""Stall at which a command stops before its step is over: 7 mm. A late arm (40 ms) that starts to
-move is 0.4 behind."""
+STOP_BLOCKAGE = 0.45
+"""Blockage at which a command stops before its step is over: 7 mm. A late arm (40 ms) that starts
+to move is 0.4 behind."""
 
 BOX_TOLERANCE = 0.002
 """How far outside its box the hand may be in the reward region, m."""

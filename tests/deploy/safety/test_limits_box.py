@@ -26,9 +26,9 @@ def box_around(position_b: Array, half: float) -> Workspace:
         start=tuple(position.tolist()),
         base_position=tuple(BASE.tolist()),
         hand_quaternion_wxyz=(1.0, 0.0, 0.0, 0.0),
-        free_lead=1.0,
-        held_lead=0.3,
-        stop_lead=0.45,
+        free_following_error=1.0,
+        held_following_error=0.3,
+        stop_blockage=0.45,
         start_configuration=tuple(MIDDLE.tolist()),
         gripper_opening=0.01,
     )

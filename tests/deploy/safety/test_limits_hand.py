@@ -31,9 +31,9 @@ def box() -> Workspace:
         start=tuple(BASE),
         base_position=BASE,
         hand_quaternion_wxyz=(1.0, 0.0, 0.0, 0.0),
-        free_lead=1.0,
-        held_lead=0.2,
-        stop_lead=0.45,
+        free_following_error=1.0,
+        held_following_error=0.2,
+        stop_blockage=0.45,
         start_configuration=tuple(MIDDLE.tolist()),
         gripper_opening=0.01,
     )

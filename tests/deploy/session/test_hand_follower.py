@@ -79,5 +79,5 @@ def test_a_deployed_hand_on_the_lid_is_led_by_no_more_than_a_held_one_may_be(
     # A second later the command has come back to what a held hand may be led by, on average: a
     # policy that goes on pushing makes it swing, by the delay between command and contact.
     standing = lead[contact + 50 : contact + 350]
-    held = layout.workspace.held_lead * definition.HAND_STEP
+    held = layout.workspace.held_following_error * definition.HAND_STEP
     assert 0.5 * held < standing.mean() < 2.5 * held

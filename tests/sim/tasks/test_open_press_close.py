@@ -242,7 +242,7 @@ def test_a_blocked_hand_stops_leading_and_its_force_is_bounded() -> None:
     assert 5.0 < forces[-1] < 40.0
     assert forces[-1] < forces[-10] + 2.0
     # The lead is bounded where a step begins; contact moves the hand while it runs.
-    assert leads[-1] < WORKSPACE.held_lead * arm_definition.HAND_STEP + 1e-3
+    assert leads[-1] < WORKSPACE.held_following_error * arm_definition.HAND_STEP + 1e-3
 
 
 def test_the_command_waits_within_the_step_for_a_hand_that_is_held_up() -> None:
