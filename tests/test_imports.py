@@ -11,7 +11,14 @@ import pytest
 FORBIDDEN: dict[str, tuple[str, ...]] = {
     "skewmi.errors": ("numpy", "mujoco", "torch"),
     "skewmi.policy_io": ("mujoco", "pinocchio", "torch", "onnxruntime", "zenoh", "skewmi.sim"),
-    "skewmi.hand_command": ("mujoco", "pinocchio", "torch", "zenoh", "skewmi.sim", "skewmi.deploy"),
+    "skewmi.command_integrator": (
+        "mujoco",
+        "pinocchio",
+        "torch",
+        "zenoh",
+        "skewmi.sim",
+        "skewmi.deploy",
+    ),
     "skewmi.robot_models": (
         "torch",
         "pinocchio",

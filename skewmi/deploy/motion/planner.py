@@ -155,7 +155,7 @@ class Planner:
         """Command the hand to a position, to be reached at constant velocity.
 
         Call it once per policy step with the policy's next commanded position
-        (`hand_command.integrate_command`) and the step's duration. The executed path follows this
+        (`command_integrator.integrate_command`) and the step's duration. The executed path follows this
         command with a lag of some 50 ms at 150 mm/s (profile `lab`), up to 60 ms more after
         corners, and settles on its last position when no more come.
 

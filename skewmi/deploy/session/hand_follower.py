@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from skewmi.command_integrator import remembered_stall, stalled
 from skewmi.deploy.session.arm_state import ArmState
 from skewmi.deploy.session.observer import Observer
 from skewmi.deploy.session.stream import ChunkStream
-from skewmi.hand_command import remembered_stall, stalled
 from skewmi.policy_io import Array, PolicyLayout
 
 FOLLOWING, NOT_FOLLOWING = 0.005, 0.010

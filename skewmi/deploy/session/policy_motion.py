@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from skewmi.command_integrator import integrate_command
 from skewmi.deploy.motion.planner import Planner
 from skewmi.deploy.session.arm_state import ArmState
 from skewmi.deploy.session.hand_follower import HandFollower
@@ -12,7 +13,6 @@ from skewmi.deploy.session.policy_topics import PolicyTopics
 from skewmi.deploy.session.robot_client import RobotClient
 from skewmi.deploy.session.stream import ChunkStream
 from skewmi.deploy.session.timing import CycleTimes
-from skewmi.hand_command import integrate_command
 from skewmi.policy_io import Array, Policy
 from skewmi.success import inside_region
 from skewmi.trajectory import CYCLE_NS, CYCLE_TICKS, JointTrajectory

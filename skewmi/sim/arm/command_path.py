@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from skewmi.hand_command import integrate_command, remembered_stall, stalled
+from skewmi.command_integrator import integrate_command, remembered_stall, stalled
 from skewmi.policy_io import Array, PolicyLayout
 from skewmi.sim.arm import definition
 from skewmi.sim.arm.scene import ArmScene, workspace_of

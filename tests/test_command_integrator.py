@@ -10,14 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from skewmi.errors import ConfigurationError
-from skewmi.hand_command import (
+from skewmi.command_integrator import (
     EXPLAINED_DELAY,
     FADING,
     integrate_command,
     remembered_stall,
     stalled,
 )
+from skewmi.errors import ConfigurationError
 from skewmi.policy_io import ActionField, Array, Field, PolicyLayout, Workspace
 
 WORKSPACE = Workspace(
