@@ -1,4 +1,4 @@
-"""Laws of the commanded hand position: box, leads, and what counts as held up."""
+"""Laws of the commanded hand: box, following error, what counts as blocked."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from skewmi.command_integrator import (
     EXPLAINED_DELAY,
     FADING,
-    integrate_command,
-    remembered_stall,
-    stalled,
+    next_position,
+    present_blockage,
+    remembered_blockage,
 )
 from skewmi.errors import ConfigurationError
 from skewmi.policy_io import ActionField, Array, Field, PolicyLayout, Workspace
@@ -55,12 +55,15 @@ inside_box = st.tuples(
 ).map(np.array)
 
 
-stalls = hnp.arrays(np.float64, 5, elements=st.floats(0.0, 3.0))
+blockages = hnp.arrays(np.float64, 5, elements=st.floats(0.0, 3.0))
 
 
-@given(positions, actions, positions, stalls)
-def test_command_stays_in_the_box(command: Array, action: Array, hand: Array, stall: Array) -> None:
-    target = integrate_command(LAYOUT, command, action, hand, stall)
+@settings(deadline=None)
+@given(positions, actions, positions, blockages)
+def test_command_stays_in_the_box(
+    command: Array, action: Array, hand: Array, blockage: Array
+) -> None:
+    target = next_position(LAYOUT, command, action, hand, blockage)
     assert (target >= WORKSPACE.low).all()
     assert (target <= WORKSPACE.high).all()
 
@@ -71,96 +74,105 @@ def in_actions(distance: Array) -> Array:
     return length
 
 
-@given(positions, actions, inside_box, stalls)
-def test_command_leads_the_hand_by_no_more_than_allowed(
-    command: Array, action: Array, hand: Array, stall: Array
+@settings(deadline=None)
+@given(positions, actions, inside_box, blockages)
+def test_the_following_error_is_no_more_than_allowed(
+    command: Array, action: Array, hand: Array, blockage: Array
 ) -> None:
-    """From inside the box, clipping to it only shortens the lead: a box is convex."""
-    lead = in_actions(integrate_command(LAYOUT, command, action, hand, stall) - hand)
-    assert (lead <= WORKSPACE.free_following_error + 1e-9).all()
-    held = stall >= WORKSPACE.held_following_error
-    assert (lead[held] <= WORKSPACE.held_following_error + 1e-9).all()
+    """From inside the box, clipping to it only shortens the error: a box is convex."""
+    error = in_actions(next_position(LAYOUT, command, action, hand, blockage) - hand)
+    assert (error <= WORKSPACE.free_following_error + 1e-9).all()
+    held = blockage >= WORKSPACE.held_following_error
+    assert (error[held] <= WORKSPACE.held_following_error + 1e-9).all()
 
 
-@given(positions, actions, inside_box, stalls, stalls)
-def test_the_more_it_stalls_the_less_a_hand_is_led(
+@settings(deadline=None)
+@given(positions, actions, inside_box, blockages, blockages)
+def test_the_more_a_hand_is_blocked_the_less_its_command_is_ahead(
     command: Array, action: Array, hand: Array, less: Array, more: Array
 ) -> None:
     less, more = np.minimum(less, more), np.maximum(less, more)
-    near, far = (integrate_command(LAYOUT, command, action, hand, x) - hand for x in (more, less))
+    near, far = (next_position(LAYOUT, command, action, hand, x) - hand for x in (more, less))
     assert (in_actions(near) <= in_actions(far) + 1e-9).all()
 
 
+@settings(deadline=None)
 @given(inside_box, actions)
 def test_command_against_an_obstacle_settles_at_the_smaller_lead(
     hand: Array, action: Array
 ) -> None:
-    """However the policy pushes: a command that leads by more comes back at once."""
-    command, stall, rest = hand, np.array(0.0), np.zeros(3)
+    """However the policy pushes: a command that is further ahead comes back at once."""
+    command, blockage, rest = hand, np.array(0.0), np.zeros(3)
     for push in np.concatenate([action, action]):
         held = in_actions(command - hand) >= WORKSPACE.held_following_error
-        stall = remembered_stall(LAYOUT, stall, command - hand, rest)
-        command = integrate_command(LAYOUT, command, push, hand, stall)
+        blockage = remembered_blockage(LAYOUT, blockage, command - hand, rest)
+        command = next_position(LAYOUT, command, push, hand, blockage)
         assert not held or in_actions(command - hand) <= WORKSPACE.held_following_error + 1e-9
 
 
+@settings(deadline=None)
 @given(inside_box, actions, st.floats(0.0, EXPLAINED_DELAY))
-def test_a_late_arm_is_not_taken_for_one_that_is_held_up(
+def test_a_late_arm_is_not_taken_for_a_blocked_one(
     hand: Array, action: Array, steps_late: float
 ) -> None:
     moved = np.clip(action[0, :3], -1.0, 1.0) * LAYOUT.action_scale[:3]
     error = steps_late * moved
-    assert stalled(LAYOUT, error, moved) <= 1e-12
-    assert remembered_stall(LAYOUT, np.array(0.0), error, moved) <= 1e-12
+    assert present_blockage(LAYOUT, error, moved) <= 1e-12
+    assert remembered_blockage(LAYOUT, np.array(0.0), error, moved) <= 1e-12
 
 
+@settings(deadline=None)
 @given(positions, positions)
-def test_a_hand_that_rests_stalls_by_all_of_its_error(error: Array, moved: Array) -> None:
-    rest = stalled(LAYOUT, error, np.zeros(3))
+def test_a_hand_that_rests_is_blocked_by_all_of_its_error(error: Array, moved: Array) -> None:
+    rest = present_blockage(LAYOUT, error, np.zeros(3))
     np.testing.assert_allclose(rest, in_actions(error))
-    assert (stalled(LAYOUT, error, moved) <= rest).all()
+    assert (present_blockage(LAYOUT, error, moved) <= rest).all()
 
 
+@settings(deadline=None)
 @given(st.floats(0.0, 3.0), st.floats(0.0, 1.0))
-def test_a_stall_is_remembered_until_the_hand_moves(stall: float, moved: float) -> None:
+def test_a_blockage_is_remembered_until_the_hand_moves(blockage: float, moved: float) -> None:
     """Of a hand that is where it is commanded to be."""
     nowhere = np.zeros(3)
-    at_rest = remembered_stall(LAYOUT, np.array(stall), nowhere, nowhere)
-    assert at_rest == pytest.approx(FADING * stall)
+    at_rest = remembered_blockage(LAYOUT, np.array(blockage), nowhere, nowhere)
+    assert at_rest == pytest.approx(FADING * blockage)
     travel = np.array([0.0, moved, 0.0]) * LAYOUT.action_scale[:3]
-    moving = remembered_stall(LAYOUT, np.array(stall), nowhere, travel)
-    assert moving == pytest.approx(max(FADING * stall - moved, 0.0))
+    moving = remembered_blockage(LAYOUT, np.array(blockage), nowhere, travel)
+    assert moving == pytest.approx(max(FADING * blockage - moved, 0.0))
 
 
+@settings(deadline=None)
 @given(inside_box, st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=4))
 def test_small_step_from_the_hand_is_the_scaled_action(hand: Array, action: list[float]) -> None:
     small = 0.02 * np.array(action)
-    target = integrate_command(LAYOUT, hand, small, hand, 0.0)
+    target = next_position(LAYOUT, hand, small, hand, 0.0)
     free = hand + small[:3] * LAYOUT.action_scale[:3]
     np.testing.assert_allclose(target, np.clip(free, WORKSPACE.low, WORKSPACE.high), atol=1e-15)
 
 
-@given(positions, actions, positions, stalls)
+@settings(deadline=None)
+@given(positions, actions, positions, blockages)
 def test_command_clips_the_action_and_ignores_the_gripper(
-    command: Array, action: Array, hand: Array, stall: Array
+    command: Array, action: Array, hand: Array, blockage: Array
 ) -> None:
-    target = integrate_command(LAYOUT, command, action, hand, stall)
+    target = next_position(LAYOUT, command, action, hand, blockage)
     for same in (np.clip(action, -1.0, 1.0), action[:, :3]):
-        again = integrate_command(LAYOUT, command, same, hand, stall)
+        again = next_position(LAYOUT, command, same, hand, blockage)
         np.testing.assert_array_equal(again, target)
 
 
-@given(positions, actions, positions, stalls)
+@settings(deadline=None)
+@given(positions, actions, positions, blockages)
 def test_command_of_a_batch_is_that_of_its_rows(
-    command: Array, action: Array, hand: Array, stall: Array
+    command: Array, action: Array, hand: Array, blockage: Array
 ) -> None:
-    batch = integrate_command(LAYOUT, command, action, hand, stall)
+    batch = next_position(LAYOUT, command, action, hand, blockage)
     for i in range(len(batch)):
-        row = integrate_command(LAYOUT, command[i], action[i], hand[i], stall[i])
+        row = next_position(LAYOUT, command[i], action[i], hand[i], blockage[i])
         np.testing.assert_allclose(row, batch[i], rtol=0.0, atol=1e-15)
 
 
 def test_command_needs_a_workspace() -> None:
     layout = dataclasses.replace(LAYOUT, workspace=None)
     with pytest.raises(ConfigurationError, match="workspace"):
-        integrate_command(layout, np.zeros(3), np.zeros(4), np.zeros(3), 0.0)
+        next_position(layout, np.zeros(3), np.zeros(4), np.zeros(3), 0.0)

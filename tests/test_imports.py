@@ -11,6 +11,7 @@ import pytest
 FORBIDDEN: dict[str, tuple[str, ...]] = {
     "skewmi.errors": ("numpy", "mujoco", "torch"),
     "skewmi.policy_io": ("mujoco", "pinocchio", "torch", "onnxruntime", "zenoh", "skewmi.sim"),
+    "skewmi.success": ("mujoco", "pinocchio", "torch", "onnxruntime", "zenoh", "skewmi.sim"),
     "skewmi.command_integrator": (
         "mujoco",
         "pinocchio",

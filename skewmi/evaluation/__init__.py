@@ -2,7 +2,7 @@
 
 | May import | What for |
 |---|---|
-| `policy_io`, `batch_env`, `contact`, `trajectory`, `errors` | policies, environments, quantities |
+| `policy_io`, `success`, `batch_env`, `contact`, `trajectory`, `errors` | policies, environments |
 | `train`'s readers of runs (`checkpoint`, `config`, `history`, `log`, `milestones`) | curves |
 | `deploy.recording`'s reader and `deploy.wire`'s messages | films |
 | `sim`'s rendering and scenes, only inside functions | films |

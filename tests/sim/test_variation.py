@@ -194,7 +194,7 @@ def test_a_delay_moves_the_targets_by_whole_substeps() -> None:
     for env in (late, prompt):
         env.reset(1)
         start = env.batch.bind("ctrl").copy()
-        # Away from everything and slow: the lead limit, which sees the motion, must not act.
+        # Away from everything and slow: the bound on the following error must not act.
         for action in ([0.0, 0.3, 0.3], [0.1, -0.2, 0.2], [0.0, 0.1, 0.0]):
             env.step(np.array([action] * 2))
             rows[id(env)].append(env.servo_targets.copy())

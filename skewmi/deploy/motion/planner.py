@@ -154,17 +154,17 @@ class Planner:
     def set_target(self, position_w: Array, duration_s: float, *, at_once: bool = False) -> None:
         """Command the hand to a position, to be reached at constant velocity.
 
-        Call it once per policy step with the policy's next commanded position
-        (`command_integrator.integrate_command`) and the step's duration. The executed path follows this
-        command with a lag of some 50 ms at 150 mm/s (profile `lab`), up to 60 ms more after
-        corners, and settles on its last position when no more come.
+        Call it once per policy step with the policy's next commanded position (of a
+        `CommandIntegrator`) and the step's duration. The executed path follows this command with
+        a lag of some 50 ms at 150 mm/s (profile `lab`), up to 60 ms more after corners, and
+        settles on its last position when no more come.
 
         Args:
             position_w: World, m; clipped to the workspace box. Shape (3,).
             duration_s: Time until it should be there, s. Longer than the control step for a
                 slowed-down execution.
             at_once: Whether to give up what is left of the commanded path, and cut its corners:
-                for a policy that reacts to what it sees, and for a hand that is held up.
+                for a policy that reacts to what it sees, and for a hand that is blocked.
 
         Raises:
             LimitViolationError: A number is not finite, or the duration not positive.

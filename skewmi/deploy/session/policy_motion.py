@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from skewmi.command_integrator import integrate_command
 from skewmi.deploy.motion.planner import Planner
 from skewmi.deploy.session.arm_state import ArmState
-from skewmi.deploy.session.hand_follower import HandFollower
+from skewmi.deploy.session.hand_commander import HandCommander
 from skewmi.deploy.session.observer import Observer
 from skewmi.deploy.session.policy_topics import PolicyTopics
 from skewmi.deploy.session.robot_client import RobotClient
@@ -61,11 +60,13 @@ class PolicyMotion:
         self._layout = policy.layout
         self._planner = planner
         self._observer = observer
-        self._stream = stream
         self._robot = robot
         self._topics = topics
         self._times = times
         self._step_cycles = step_cycles
+        step_s = step_cycles * CYCLE_NS / 1e9
+        self.commander = HandCommander(policy.layout, planner, observer, stream, step_s)
+        """What the hand is commanded to; of the present or last episode."""
         self.forget()
 
     def forget(self) -> None:
@@ -77,19 +78,19 @@ class PolicyMotion:
         self.held_back_reason = ""
         self._wait_cycles = 0
         self._held_steps = 0
-        self._waiting = False
         self._acted: tuple[Array, Array] | None = None
-        self._follower: HandFollower | None = None
+        self._begun = False
 
     def begin(self, q: Array, state: ArmState) -> None:
         """See `Motion`: the first time the policy forgets, too."""
-        workspace = self._layout.workspace
-        assert workspace is not None
-        if self._follower is None:
-            self._policy.reset()
-            self._opening = workspace.gripper_opening
-            self._follower = HandFollower(self._layout, self._observer, self._stream, state)
+        del state
         self._planner.reset(q)
+        if self._begun:
+            self.commander.resume()
+            return
+        self._begun = True
+        self._policy.reset()
+        self.commander.start()
 
     def is_over(self, state: ArmState) -> bool:
         """The policy decides that when it is asked."""
@@ -111,7 +112,7 @@ class PolicyMotion:
                 return None
             self._act(state, observation)
         else:
-            self._watch(state)
+            self.commander.watch(state)
         chunk = self._planner.step(splice)
         if self._planner.held_back is not None:
             self.held_back += 1
@@ -123,10 +124,8 @@ class PolicyMotion:
         if self._acted is None:
             return
         observation, action = self._acted
-        if self._layout.action_dim > 3:
-            travel = float(np.clip(action[3], -1.0, 1.0)) * self._layout.action_scale[3]
-            self._opening = float(np.clip(self._opening + travel, 0.0, 0.025))
-            self._robot.open_gripper(self._opening, state.stamp_ns)
+        if self.commander.opening is not None:
+            self._robot.open_gripper(self.commander.opening, state.stamp_ns)
         self._topics.publish(state.stamp_ns, observation, action)
         self._times.lap("record")
 
@@ -147,23 +146,6 @@ class PolicyMotion:
         """Ask the policy, and command the hand for a control step."""
         action = self._policy.act(observation)
         self._times.lap("policy")
-        assert self._follower is not None
-        command = self._planner.command_position
-        ahead = self._follower.ahead(state, command)
-        stall = self._follower.stall_of_step(state, ahead, command)
-        self._target = integrate_command(self._layout, command, action, ahead, stall)
-        # Lag costs a policy more than a cut corner: with corners kept, 93 of 100 deployed episodes
-        # succeeded instead of 99.
-        self._planner.set_target(self._target, self._step_cycles * CYCLE_NS / 1e9, at_once=True)
-        self._waiting = False
+        self.commander.begin_step(action, state)
         self.steps += 1
         self._acted = observation, action
-
-    def _watch(self, state: ArmState) -> None:
-        """Between two actions: end the command where the hand no longer follows it."""
-        assert self._follower is not None
-        if not self._waiting and self._follower.must_wait(state, self._target):
-            # As in training.
-            target = self._follower.commanded(state)
-            self._planner.set_target(target, CYCLE_NS / 1e9, at_once=True)
-            self._waiting = True

@@ -131,7 +131,6 @@ class ArmBatch:
         self._record["sensordata"][:] = 0.0
         self._step_index = 0
         self._read()
-        self._hand_before_w = self._hand_position_w
         return self._observe()[0]
 
     def step(self, action: Array) -> StepResult:
@@ -148,9 +147,7 @@ class ArmBatch:
                 "call reset first"
             )
         values = checked_action(action, self.num_envs, self.layout.action_dim)
-        self._command.move(
-            values, self._hand_position_w, self._hand_position_w - self._hand_before_w
-        )
+        self._command.move(values, self._hand_position_w)
         if self._variation is not None:
             self._variation.begin_step()
             self._variation.delay(self._command.targets, self.servo_targets)
@@ -168,13 +165,12 @@ class ArmBatch:
         )
 
     def _roll_out(self) -> None:
-        """Step the physics; where a hand is held up, its command waits for it."""
+        """Step the physics; where a hand is blocked, its command waits for it."""
         period, steps = definition.WATCH_SUBSTEPS, definition.SUBSTEPS
-        hand_w = self._hand_position_w
         for begin in range(0, steps, period):
             if begin:
-                before_w, hand_w = hand_w, self.scene.hand_pose(self._qpos)[0]
-                held = self._command.wait_for_hands(begin, hand_w, hand_w - before_w)
+                hand_w, _ = self.scene.hand_pose(self._qpos)
+                held = self._command.wait_for_hands(begin, hand_w)
                 if held.size and self._variation is not None:
                     self._variation.delay(self._command.targets, self.servo_targets)
             part = slice(begin, begin + period)
@@ -200,7 +196,6 @@ class ArmBatch:
         if self._errors is not None:
             measured = measured.copy()
             measured[:, self.scene.arm_qpos] += self._errors[0]
-        self._hand_before_w = self._hand_position_w
         self._hand_position_w, _ = self.scene.hand_pose(measured)
 
     def _observe(self) -> tuple[Array, Array]:

@@ -12,7 +12,7 @@ from skewmi.sim.arm.arm_task import ArmTask
 STOP_MARGIN = 0.003
 """How far the soft stops of the fingers give way, m."""
 HAND_MARGIN = 0.015
-"""How far contact may push the hand out of its box, m: as far as the command may lead it."""
+"""How far contact may push the hand out of its box, m: as far as the following error goes."""
 
 TIP = yumi.GRIPPER.finger_origin_z + yumi.GRIPPER.finger_size[2]
 """Distance from the flange to the fingertips, m."""

@@ -12,7 +12,7 @@ CONTACT_SERVO = servo.DEFAULT.with_changes(
     kd=servo.critical_damping(_KP, servo.ARMATURE),
     force_limit=np.array([12.5, 12.5, 6.0, 6.0, 6.0, 6.0, 6.0]),
 )
-"""A soft arm bounds the force that the command's lead over the hand can build up, and a wrist that
+"""A soft arm bounds the force that the following error of the hand can build up, and a wrist that
 is stiff and strong for its size keeps the hand upright under it (the joints' own wrist stiffness
 is above 450 N m/rad): with the wrist at 100 N m/rad and 2 N m a sideways push of 12 N at the
 fingertips overpowered it, and the hand tilted by up to 40 degrees. An estimate like

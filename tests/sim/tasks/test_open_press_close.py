@@ -194,7 +194,7 @@ def test_random_actions_stay_physical(shaken) -> None:
     assert button.max() < parts.BUTTON_TRAVEL + 1e-3
 
 
-def test_contact_pushes_the_hand_out_of_its_box_by_less_than_the_lead(shaken) -> None:
+def test_contact_pushes_the_hand_out_of_its_box_by_less_than_its_margin(shaken) -> None:
     hand = shaken["state"][..., :3]
     outside = np.maximum(np.array(WORKSPACE.low) - hand, hand - np.array(WORKSPACE.high))
     assert outside.max() < HAND_MARGIN
@@ -229,36 +229,36 @@ def test_a_free_hand_follows_its_command_without_lag() -> None:
     assert env.diagnostics().hand_force_peak[0] == 0.0
 
 
-def test_a_blocked_hand_stops_leading_and_its_force_is_bounded() -> None:
+def test_a_blocked_hand_keeps_its_command_near_and_its_force_is_bounded() -> None:
     env = ArmBatch(ARM, 1, num_threads=1, randomization=Randomization((0.0, 0.0, 0.0)))
     env.reset()
     for _ in range(5):
         env.step(np.array([[0.0, 1.0, 0.0]]))
-    forces, leads = [], []
+    forces, errors = [], []
     for _ in range(40):
         env.step(np.array([[0.0, 0.0, -1.0]]))
         forces.append(env.diagnostics().hand_force_mean[0])
-        leads.append(env.diagnostics().hand_to_command[0])
+        errors.append(env.diagnostics().hand_to_command[0])
     assert 5.0 < forces[-1] < 40.0
     assert forces[-1] < forces[-10] + 2.0
-    # The lead is bounded where a step begins; contact moves the hand while it runs.
-    assert leads[-1] < WORKSPACE.held_following_error * arm_definition.HAND_STEP + 1e-3
+    # The following error is bounded where a step begins; contact moves the hand while it runs.
+    assert errors[-1] < WORKSPACE.held_following_error * arm_definition.HAND_STEP + 1e-3
 
 
-def test_the_command_waits_within_the_step_for_a_hand_that_is_held_up() -> None:
-    """Pushed down onto the lid at full speed: the first contact leads by no full action."""
+def test_the_command_waits_within_the_step_for_a_blocked_hand() -> None:
+    """Pushed down onto the lid at full speed: the error at first contact is no full action."""
     env = ArmBatch(ARM, 1, num_threads=1, randomization=Randomization((0.0, 0.0, 0.0)))
     env.reset()
     for _ in range(5):
         env.step(np.array([[0.0, 1.0, 0.0]]))
-    leads, moved = [], []
+    errors, moved = [], []
     for _ in range(10):
         before = env.command()[0][0, 2]
         env.step(np.array([[0.0, 0.0, -1.0]]))
-        leads.append(env.diagnostics().hand_to_command[0])
+        errors.append(env.diagnostics().hand_to_command[0])
         moved.append(before - env.command()[0][0, 2])
-    # Without that it would be led by a full action when the step ends.
-    assert max(leads) < 0.8 * arm_definition.HAND_STEP
+    # Without that it would be a full action when the step ends.
+    assert max(errors) < 0.8 * arm_definition.HAND_STEP
     assert max(moved) == pytest.approx(
         arm_definition.HAND_STEP, abs=1e-6
     )  # until there was contact

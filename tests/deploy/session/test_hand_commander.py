@@ -1,4 +1,4 @@
-"""A hand that is held up is not led further: in a deployment as in training."""
+"""Against a blocked hand the command stops: in a deployment as in training."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def hands(path: Path) -> tuple[Array, Array]:
     return tuple(arm.forward(q)[0] + frames.BASE_IN_WORLD for q in (measured, wanted))  # type: ignore[return-value]
 
 
-def test_a_deployed_hand_on_the_lid_is_led_by_no_more_than_a_held_one_may_be(
+def test_the_following_error_of_a_deployed_hand_on_the_lid_is_that_of_a_blocked_one(
     tmp_path: Path,
 ) -> None:
     layout = make_layout()
@@ -72,12 +72,12 @@ def test_a_deployed_hand_on_the_lid_is_led_by_no_more_than_a_held_one_may_be(
         report = run_deploy(LeanOnTheLid(layout), options)
     assert report.episodes[0].outcome == "time over", report.as_dict()
     measured, commanded = hands(path)
-    lead = np.linalg.norm(commanded - measured, axis=1)
+    error = np.linalg.norm(commanded - measured, axis=1)
     # At 150 mm/s, 24 ms of chunks under way and the limits on braking: at most this, once.
-    contact = int(np.argmax(lead > 5e-3))
-    assert lead.max() < 0.020
-    # A second later the command has come back to what a held hand may be led by, on average: a
+    contact = int(np.argmax(error > 5e-3))
+    assert error.max() < 0.020
+    # A second later the command has come back to what it may be of a blocked hand, on average: a
     # policy that goes on pushing makes it swing, by the delay between command and contact.
-    standing = lead[contact + 50 : contact + 350]
+    standing = error[contact + 50 : contact + 350]
     held = layout.workspace.held_following_error * definition.HAND_STEP
     assert 0.5 * held < standing.mean() < 2.5 * held
