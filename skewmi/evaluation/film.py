@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skewmi.deploy.recording.reader import LAYOUT, Recording
-from skewmi.deploy.session.states import STATUS_NAME, SessionState
+from skewmi.deploy.session.news import SessionNews
+from skewmi.deploy.session.states import SessionState
 from skewmi.deploy.wire import topics
-from skewmi.deploy.wire.messages import JointStates, decode_joint_states, decode_status
+from skewmi.deploy.wire.messages import JointStates, decode_joint_states
 from skewmi.errors import ConfigurationError
 from skewmi.policy_io import Array, PolicyLayout
 
@@ -75,10 +76,9 @@ def running_stamps(recording: Recording) -> NDArray[np.int64]:
     """When the session gave the arm to the policy, once per episode, ns of the server's clock."""
     found = []
     for message in recording.messages.get(topics.YUMI_STATUS.name, ()):
-        status = decode_status(message.payload)
-        entered = status.values.get("state") == SessionState.RUNNING.value
-        if status.name == STATUS_NAME and entered and "event" in status.values:
-            found.append(status.stamp_ns)
+        news = SessionNews.decode(message.payload)
+        if news is not None and news.state is SessionState.RUNNING:
+            found.append(news.stamp_ns)
     return np.array(found, dtype=np.int64)
 
 

@@ -55,6 +55,11 @@ class RobotStatus:
     event: ServerEvent | None = None
     """What changed it."""
 
+    @property
+    def message(self) -> str:
+        """State and reason, for people."""
+        return f"{self.state.value}: {self.reason}"
+
     def encode(self) -> bytes:
         """diagnostic_msgs/DiagnosticArray with one entry."""
         level = ERROR if self.state is ServerState.FAULT else WARN if self.refused else OK
@@ -72,8 +77,7 @@ class RobotStatus:
         }
         if self.source is not None and self.event is not None:
             values |= {"from": self.source.value, "event": self.event.value}
-        message = f"{self.state.value}: {self.reason}"
-        return encode_status(Status(self.stamp_ns, STATUS_NAME, level, message, values))
+        return encode_status(Status(self.stamp_ns, STATUS_NAME, level, self.message, values))
 
     @staticmethod
     def decode(payload: bytes) -> RobotStatus | None:
@@ -83,15 +87,8 @@ class RobotStatus:
             TransportError: Not a status, or not of a robot server of this version.
         """
         status = decode_status(payload)
-        return RobotStatus.read(status) if status.name == STATUS_NAME else None
-
-    @staticmethod
-    def read(status: Status) -> RobotStatus:
-        """What a decoded message of that name tells.
-
-        Raises:
-            TransportError: As for `decode`.
-        """
+        if status.name != STATUS_NAME:
+            return None
         values = status.values
         try:
             stamps = values["refused_stamps_ns"].split()

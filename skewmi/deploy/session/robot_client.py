@@ -8,13 +8,12 @@ import numpy as np
 
 from skewmi.deploy.robot.description import SCENE_REQUEST, RobotDescription
 from skewmi.deploy.robot.states import ServerState
+from skewmi.deploy.robot.status import RobotStatus
 from skewmi.deploy.session.interrupt import StopRequestedError
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.messages import (
     JointStates,
-    Status,
     TriggerReply,
-    decode_status,
     encode_joint_states,
 )
 from skewmi.deploy.wire.transport import LatestReader, Link, Publisher
@@ -24,9 +23,8 @@ from skewmi.robot_models import yumi
 
 CALL_TIMEOUT_S = 5.0
 REST_TIMEOUT_S = 10.0
-ROBOT_STATUS_NAME = "skewmi_robot"
 
-_ENDING = (ServerState.STOPPING.value, ServerState.DISARMED.value)
+_ENDING = (ServerState.STOPPING, ServerState.DISARMED)
 
 
 class LateChunkError(CommandRefusedError):
@@ -131,16 +129,14 @@ class RobotClient:
             TransportError: It is in fault.
         """
         for status in self._news():
-            says = status.values.get("state")
-            if says == ServerState.FAULT.value:
+            if status.state is ServerState.FAULT:
                 raise TransportError(f"the robot server is in {status.message}")
-            if says in _ENDING:
+            if status.state in _ENDING:
                 raise StopRequestedError(f"the robot server is {status.message}")
             if self._note_refusals(status):
-                refusal = status.values.get("refusal", "")
-                late = status.values.get("out_of_step") == "True" and not late_is_final
+                late = status.out_of_step and not late_is_final
                 kind = LateChunkError if late else CommandRefusedError
-                raise kind(f"the robot server refused a command: {refusal}")
+                raise kind(f"the robot server refused a command: {status.refusal}")
 
     def wait_for_hold(self) -> Array:
         """Wait, armed, until the tail has been followed to its end.
@@ -189,7 +185,7 @@ class RobotClient:
         self._armed = False
         return description
 
-    def _news(self) -> list[Status]:
+    def _news(self) -> list[RobotStatus]:
         """What the robot server has said, oldest first, since it first named us its commander.
 
         What it said before it was armed, such as that it is disarmed, may arrive after the
@@ -197,18 +193,18 @@ class RobotClient:
         """
         news = []
         for sample in self._status.drain():
-            status = decode_status(sample.payload)
-            if status.name != ROBOT_STATUS_NAME or self._dry_run:
+            status = RobotStatus.decode(sample.payload)
+            if status is None or self._dry_run:
                 continue
             self._heard = self._heard or self._is_ours(status)
             if self._heard:
                 news.append(status)
         return news
 
-    def _is_ours(self, status: Status) -> bool:
-        return status.values.get("commander") == self._commands.gid.hex()
+    def _is_ours(self, status: RobotStatus) -> bool:
+        return status.commander == self._commands.gid
 
-    def _note_refusals(self, status: Status) -> bool:
+    def _note_refusals(self, status: RobotStatus) -> bool:
         """Whether the robot server has refused more of ours than it had when last heard.
 
         What it refused of others, or before we armed, is none of our business: else anybody
@@ -217,7 +213,7 @@ class RobotClient:
         if not self._is_ours(status):
             return False
         before = self._refused
-        self._refused = int(status.values.get("refused_of_commander", "0"))
+        self._refused = status.refused_of_commander
         return self._refused > before
 
     def _call(self, service: topics.Service, request: bytes = b"") -> TriggerReply:

@@ -4,15 +4,10 @@ from __future__ import annotations
 
 import logging
 
-from skewmi.deploy.session.states import (
-    SESSION_TABLE,
-    STATUS_NAME,
-    SessionEvent,
-    SessionState,
-)
+from skewmi.deploy.session.news import SessionNews
+from skewmi.deploy.session.states import SESSION_TABLE, SessionEvent, SessionState
 from skewmi.deploy.state_machine import StateMachine, Transition
 from skewmi.deploy.wire.channels import Publisher
-from skewmi.deploy.wire.messages import ERROR, OK, WARN, Status, encode_status
 from skewmi.errors import TransportError
 
 _log = logging.getLogger(__name__)
@@ -46,16 +41,14 @@ class SessionStatus:
 
     def _tell(self, transition: Transition[SessionState]) -> None:
         _log.info("%s", transition)
-        level = {SessionState.FAULT: ERROR, SessionState.STOPPING: WARN}.get(transition.target, OK)
-        values = {
-            "state": transition.target.value,
-            "reason": transition.reason,
-            "from": transition.source.value,
-            "event": transition.event,
-        }
-        message = f"{transition.target.value}: {transition.reason}"
-        status = Status(transition.stamp_ns, STATUS_NAME, level, message, values)
+        news = SessionNews(
+            transition.stamp_ns,
+            transition.target,
+            transition.reason,
+            transition.source,
+            SessionEvent(transition.event),
+        )
         try:
-            self._publisher.put(encode_status(status))
+            self._publisher.put(news.encode())
         except TransportError:
             _log.warning("cannot report %s", transition)
