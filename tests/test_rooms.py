@@ -1,0 +1,152 @@
+"""Who may import whom inside `deploy`, by its sources: every import counts, wherever it stands."""
+
+from __future__ import annotations
+
+import ast
+import functools
+from pathlib import Path
+
+import pytest
+
+import skewmi
+
+PACKAGE = Path(skewmi.__file__).parent
+EVERYBODY = {"errors", "trajectory"}
+"""What all may import."""
+
+ROOMS: dict[str, set[str]] = {
+    "wire": set(),
+    "safety": {"policy_io", "robot_models"},
+    "motion": {"policy_io", "robot_models", "deploy.safety"},
+    "robot": {
+        "policy_io",
+        "robot_models",
+        "contact",
+        "sim",
+        "deploy.wire",
+        "deploy.safety",
+        "deploy.state_machine",
+        "deploy.realtime",
+    },
+    "session": {
+        "policy_io",
+        "robot_models",
+        "command_integrator",
+        "hand_command",
+        "deploy.wire",
+        "deploy.safety",
+        "deploy.motion",
+        "deploy.robot",
+        "deploy.state_machine",
+        "deploy.realtime",
+        "deploy.options",
+        "deploy.report",
+    },
+    "recording": {"deploy.wire"},
+    "replay": {"policy_io", "robot_models", "deploy.wire", "deploy.recording"},
+}
+"""Room of `deploy` -> what of this package its files may import."""
+
+ROBOT_FOR_SESSIONS = {"description", "states", "status"}
+"""What a session needs of the robot's room: words, no robot."""
+
+SIMULATORS = ("deploy.robot.backends.mujoco", "deploy.robot.egm_emulator")
+"""The only modules of `deploy` that may import the simulation."""
+
+
+def _exists(module: str) -> bool:
+    path = PACKAGE.joinpath(*module.split("."))
+    return path.is_dir() or path.with_suffix(".py").is_file()
+
+
+def _imported(tree: ast.Module) -> set[str]:
+    """Modules of ours that are imported anywhere in a file, without the package's name."""
+    names: set[str] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "imports are absolute"
+            names |= {f"{node.module}.{alias.name}" for alias in node.names}
+    found = set()
+    for name in names:
+        if name.startswith("skewmi."):
+            module = name.removeprefix("skewmi.")
+            while not _exists(module):
+                module = module.rpartition(".")[0]
+            found.add(module)
+    return found
+
+
+@functools.cache
+def imports() -> dict[str, set[str]]:
+    """Module -> what it imports of the package."""
+    found = {}
+    for path in sorted(PACKAGE.rglob("*.py")):
+        parts = path.relative_to(PACKAGE).with_suffix("").parts
+        module = ".".join(parts).removesuffix("__init__").rstrip(".")
+        found[module] = _imported(ast.parse(path.read_text(encoding="utf-8")))
+    return found
+
+
+def room(module: str) -> str:
+    """The folder or file that a module counts as: in `deploy` the second level, else the first."""
+    parts = module.split(".")
+    return ".".join(parts[: 2 if parts[0] == "deploy" else 1])
+
+
+@pytest.mark.parametrize("name", ROOMS)
+def test_rooms_import_only_what_the_table_allows(name: str) -> None:
+    home = f"deploy.{name}"
+    files = {module: found for module, found in imports().items() if room(module) == home}
+    assert files
+    for module, found in files.items():
+        others = {room(other) for other in found} - {home}
+        assert others <= ROOMS[name] | EVERYBODY, f"{module} imports {sorted(others)}"
+
+
+def test_every_folder_of_deploy_is_in_the_table() -> None:
+    folders = {path.parent.name for path in (PACKAGE / "deploy").glob("*/__init__.py")}
+    assert folders == set(ROOMS)
+
+
+def test_the_vocabulary_imports_the_errors_alone() -> None:
+    assert imports()["errors"] == set()
+    assert imports()["trajectory"] == {"errors"}
+
+
+def test_a_session_knows_a_robot_by_its_words_alone() -> None:
+    for module, found in imports().items():
+        if room(module) == "deploy.session":
+            of_robot = {other for other in found if room(other) == "deploy.robot"}
+            assert of_robot <= {f"deploy.robot.{name}" for name in ROBOT_FOR_SESSIONS}, module
+
+
+def test_only_simulated_robots_import_the_simulation() -> None:
+    users = {
+        module
+        for module, found in imports().items()
+        if room(module).startswith("deploy") and any(room(other) == "sim" for other in found)
+    }
+    assert users
+    assert all(module.startswith(SIMULATORS) for module in users), sorted(users)
+
+
+def test_no_two_folders_import_each_other_by_whatever_way() -> None:
+    edges: dict[str, set[str]] = {}
+    for module, found in imports().items():
+        if module and module != "deploy":
+            here = room(module)
+            edges.setdefault(here, set()).update(room(other) for other in found if other)
+            edges[here].discard(here)
+    settled: set[str] = set()
+
+    def visit(here: str, way: tuple[str, ...]) -> None:
+        assert here not in way, " -> ".join([*way[way.index(here) :], here])
+        if here not in settled:
+            for there in sorted(edges.get(here, ())):
+                visit(there, (*way, here))
+            settled.add(here)
+
+    for here in edges:
+        visit(here, ())
