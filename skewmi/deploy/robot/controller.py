@@ -79,7 +79,7 @@ class RobotController:
         """Whether a robot in lock-step has anything to do in its next cycles."""
         if self.state in ACCEPTS_COMMANDS:
             return self.newest_ns >= self.clock_ns
-        return not self.arm_motion.plan.at_rest(self.arm_motion.executed_ns)
+        return not self.at_rest
 
     def cycle(self, state: RobotState, now_ns: int) -> None:
         """Answer one cycle of the robot.

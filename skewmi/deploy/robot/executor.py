@@ -29,7 +29,10 @@ class PlanExecutor:
         self.rest_at(q, now_ns)
 
     def rest_at(self, q: Array, now_ns: int) -> None:
-        """Forget the plan and stay at `q`, shape (n_joints,), rad."""
+        """Forget the plan, and what came before, and stay at `q`, shape (n_joints,), rad.
+
+        Only for an arm that has been moved by somebody else: the command steps to where it is.
+        """
         self._start_ns = now_ns - now_ns % GRID_NS
         self._samples = JointTrajectory.resting(q, 1)
 
@@ -74,3 +77,25 @@ class PlanExecutor:
             kept = np.clip(np.arange(begin, end), 0, len(self._samples) - 1)
         self._samples = JointTrajectory.concatenate(self._samples.part(kept), samples)
         self._start_ns = first_ns
+
+    def end_at_rest(self, executed_ns: int) -> None:
+        """Leave out what the plan does after the arm rests for the first time; without a rest
+        before its end, that is nothing.
+
+        An arm rests at a sample without velocity and acceleration that equals the two before it:
+        staying there then adds a fourth, and no difference that the plan had not anyway. One equal
+        sample is not enough. The motion might have just stopped, with more jerk than is allowed if
+        it does not go on as was planned. What has been executed is remembered.
+
+        Args:
+            executed_ns: What is due up to this time has been executed.
+        """
+        q, v, a = self._samples.q, self._samples.v, self._samples.a
+        moves = (q[1:] != q[:-1]).any(axis=1)
+        rests = ~((v != 0.0) | (a != 0.0)).any(axis=1)
+        rests[1:] &= ~moves
+        rests[2:] &= ~moves[:-1]
+        # Up to the next sample the motion towards it has begun.
+        rests[: max(0, -((self._start_ns - executed_ns) // GRID_NS))] = False
+        if rests.any():
+            self._samples = self._samples.part(slice(0, int(rests.argmax()) + 1))

@@ -35,7 +35,7 @@ class PlanFollower:
         """The newest one; None before the robot's first cycle."""
         self.executed_ns = start_ns - backend.period_ns
         """The newest cycle, by the server's clock."""
-        self.plan = PlanExecutor(np.zeros(self._joints), start_ns)
+        self.plan = PlanExecutor(np.zeros(self._joints), self.executed_ns)
         """Of no meaning before the first cycle: then it becomes to stay where the arm is."""
 
     @property
@@ -45,8 +45,8 @@ class PlanFollower:
 
     @property
     def at_rest(self) -> bool:
-        """Whether all but the plan's end has been executed."""
-        return self.plan.at_rest(self.clock_ns)
+        """Whether the plan has been executed, its last sample included."""
+        return self.plan.at_rest(self.executed_ns)
 
     @property
     def measured(self) -> Array:
@@ -75,14 +75,12 @@ class PlanFollower:
 
     def rest_at(self, q: Array) -> None:
         """Forget the plan; from the next cycle on stay at `q`, shape (n_joints,), rad."""
-        self.plan.rest_at(q, self.clock_ns)
-        self._commanded = self.plan.at(self.clock_ns)
+        self.plan.rest_at(q, self.executed_ns)
+        self._commanded = self.plan.at(self.executed_ns)
 
     def drop_what_has_not_begun(self) -> None:
         """A chunk may be due in a while: an arm that rests until then stays where it is."""
-        now, before = self.plan.at(self.clock_ns), self.plan.at(self.executed_ns)
-        if not (now.v.any() or now.a.any() or (now.q != before.q).any()):
-            self.rest_at(now.q)
+        self.plan.end_at_rest(self.executed_ns)
 
     def commanded_position(self) -> tuple[float, ...]:
         """Where the plan ends, rad; empty before the first cycle."""
