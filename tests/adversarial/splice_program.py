@@ -7,8 +7,8 @@ acceleration and jerk that any sequence of chunks and stops can add up to is the
 program, and its solution is the sequence that does it. What counts are differences of the executed
 positions on the grid: all that a servo sees.
 
-A rule can be left out (`Rules`): then the program finds what that rule is there for. `splice_sequences`
-has the sequences that are looked at.
+A rule can be left out (`Rules`): then the program finds what that rule is there for. The sequences
+that are looked at are in `splice_sequences`.
 """
 
 from __future__ import annotations
@@ -82,7 +82,8 @@ class Motion:
     """
 
     def __init__(self, points: int, bounds: Bounds = LAB, rules: Rules = AS_IS) -> None:
-        self._bounds, self._rules = bounds, rules
+        self._bounds = bounds
+        self.rules = rules
         self._unit = np.eye(3 * points)
         self._used = 0
         rest = np.zeros((BEFORE, 3 * points))
@@ -124,7 +125,7 @@ class Motion:
         known = [max(tick - age, self._known_since) for age in (3, 2, 1)]
         earlier = [self._at(self.q, known_tick) for known_tick in known]
         rest = [q[-1]] * AFTER
-        if self._rules.joined:
+        if self.rules.joined:
             self._differences(np.array([*earlier, *q, *rest]))
         else:
             self._differences(np.array([*earlier, *q[:3]]))
@@ -158,11 +159,11 @@ class Motion:
     def hold(self, tick: int) -> None:
         """A stop finds the arm at rest at a tick: there it stays."""
         self._equal += [self._at(self.v, tick), self._at(self.a, tick)]
-        for age in range(1, self._rules.rested + 1):
+        for age in range(1, self.rules.rested + 1):
             self._equal.append(self._at(self.q, tick) - self._at(self.q, tick - age))
         self.q, self.v, self.a = (self._padded(x, tick + 1) for x in (self.q, self.v, self.a))
         self.held.append(tick)
-        if not self._rules.remembers:
+        if not self.rules.remembers:
             self._known_since = tick
 
     @property

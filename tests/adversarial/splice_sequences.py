@@ -86,7 +86,7 @@ def stops_and_chunks(rules: Rules = AS_IS) -> Iterator[Motion]:
 
 
 def main() -> int:
-    """Print what sequences may come to at worst, with the rules as they once were and as they are."""
+    """Tell what sequences may come to at worst, with the rules as they once were and now."""
     kinds: list[tuple[str, Callable[[Rules], Iterable[Motion]]]] = [
         (f"chunks of {points} points", partial(sequences, points)) for points in range(1, 13)
     ]
@@ -96,7 +96,8 @@ def main() -> int:
             max(motion.worst(over_ends(motion), (3,)).share for motion in motions(rules))
             for rules in (ONCE, AS_IS)
         )
-        print(f"{name}: {before:.4f} of the jerk bound once, {after:.4f} now", flush=True)
+        sys.stdout.write(f"{name}: {before:.4f} of the jerk bound once, {after:.4f} now\n")
+        sys.stdout.flush()
     return 0
 
 

@@ -175,6 +175,8 @@ class RobotController:
     def end(self, event: ServerEvent, reason: str) -> None:
         """Something ends the present motion: it brakes, and at rest nobody commands any more."""
         self.arm_motion.drop_what_has_not_begun()
+        # A chunk that has been dropped is not one that others must be newer than.
+        self.newest_ns = min(self.newest_ns, self.arm_motion.executed_ns)
         self.fire(event, reason)
         if self.state is ServerState.STOPPING and self.at_rest:
             self.fire(ServerEvent.AT_REST, "the plan has ended")
