@@ -63,6 +63,7 @@ TARGETS = (
         (
             "test_limits_bounds.py",
             "test_limits_form.py",
+            "test_limits_stream.py",
             "test_limits_ends.py",
             "test_limits_hand.py",
             "test_limits_box.py",

@@ -271,6 +271,28 @@ def test_a_motion_that_has_not_begun_never_begins(robot: LoneRobot, how: str) ->
     assert np.ptp([t.q for t in robot.targets], axis=0).max() == 0.0
 
 
+def test_rest_is_told_once_the_last_sample_has_been_commanded(robot: LoneRobot) -> None:
+    """A robot that is left alone then stays where the plan ends, not one sample before."""
+    motion = start_moving(robot)
+    robot.run(10)
+    robot.requests.stop("test")
+    while robot.controller.state is ServerState.STOPPING:
+        robot.run(1)
+    np.testing.assert_array_equal(robot.targets[-1].q, motion.q[-1])
+    assert len(robot.targets) == 3 + len(motion)
+
+
+def test_a_motion_that_was_dropped_delays_no_other(robot: LoneRobot) -> None:
+    robot.requests.arm(OURS, 0)
+    motion = motion_from(robot)
+    assert robot.controller.receive(robot.payload(motion, robot.due + 100), OURS, 1, 0)
+    robot.run(5)
+    robot.requests.stop("test")
+    robot.requests.arm(OURS, 0)
+    assert not robot.controller.may_advance(), "in lock-step, time waits for a command"
+    assert robot.controller.receive(robot.payload(motion, robot.due), OURS, 2, 0)
+
+
 def test_silence_is_noticed_before_what_comes_after_it(robot: LoneRobot) -> None:
     """The robot server itself may have been frozen: what was sent meanwhile waits for it."""
     motion = motion_from(robot)

@@ -21,6 +21,7 @@ from skewmi.deploy.safety.limits import GRID_DT, ChunkChecker
 from skewmi.errors import LimitViolationError
 from skewmi.policy_io import Array
 from skewmi.robot_models import limits
+from skewmi.robot_models.limits import JointLimits
 from skewmi.trajectory import GRID_NS, JointTrajectory
 
 LAB = limits.profile("lab")
@@ -206,20 +207,27 @@ def test_what_was_commanded_before_must_be_numbers() -> None:
         assert caught.value.bound == 0.0
 
 
+WIDE = {"acceleration": np.full(7, 1e4), "jerk": np.full(7, 1e9)}
+OVER_AN_END: dict[str, tuple[float, float, tuple[float, ...], JointLimits]] = {
+    "velocity": (GRID_DT, 2e-12, (1.0, 1.0, 1.0), replace(LAB, **WIDE)),
+    "acceleration": (GRID_DT**2, 4e-12, (1.0, 2.0, 2.0), replace(LAB, jerk=WIDE["jerk"])),
+    "jerk": (GRID_DT**3, 8e-12, (1.0, 3.0, 3.0), LAB),
+}
+"""Of each order of difference: its factor, the room for rounding, the largest binomial coefficient
+that each sample before the chunk meets, and limits of which its own is broken first."""
+
+
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("joint", range(7))
-@pytest.mark.parametrize("of", ["jerk", "acceleration"])
+@pytest.mark.parametrize("of", OVER_AN_END)
 @pytest.mark.parametrize("sample", range(3))
 def test_bounds_over_an_end_are_sharp(of: str, joint: int, sign: float, sample: int) -> None:
     """One sample before a resting chunk lies off, as far as the bound allows, and a bit more."""
-    loose = replace(LAB, jerk=1e6 * LAB.jerk)
-    checker, factor = (CHECKER, GRID_DT**3) if of == "jerk" else (ChunkChecker(loose), GRID_DT**2)
-    # The largest binomial coefficient that the sample meets.
-    times = {"jerk": (1.0, 3.0, 3.0), "acceleration": (1.0, 2.0, 2.0)}[of][sample]
+    factor, room, times, bounds = OVER_AN_END[of]
+    checker = ChunkChecker(bounds)
     still = np.tile(MIDDLE, (4, 1)), np.zeros((4, 7)), np.zeros((4, 7))
     rest = MIDDLE, np.zeros(7), np.zeros(7)
-    room = 8e-12 if of == "jerk" else 4e-12
-    bound = (getattr(LAB, of)[joint] * factor + room) / times
+    bound = (getattr(LAB, of)[joint] * factor + room) / times[sample]
     earlier = np.tile(MIDDLE, (3, 1))
     earlier[sample, joint] += sign * bound * (1 - 1e-6)
     checker.check(*still, previous=rest, earlier=earlier)
@@ -228,10 +236,10 @@ def test_bounds_over_an_end_are_sharp(of: str, joint: int, sign: float, sample: 
         checker.check(*still, previous=rest, earlier=earlier)
 
 
-@pytest.mark.parametrize(("of", "room"), [("jerk", 8e-12), ("acceleration", 4e-12)])
-def test_rounding_of_positions_breaks_no_small_bound(of: str, room: float) -> None:
-    wide = {"jerk": np.full(7, 1e6), "acceleration": np.full(7, 1e3)}
-    checker = ChunkChecker(replace(LAB, **(wide | {of: np.full(7, 1e-9)})))
+@pytest.mark.parametrize("of", OVER_AN_END)
+def test_rounding_of_positions_breaks_no_small_bound(of: str) -> None:
+    _, room, _, bounds = OVER_AN_END[of]
+    checker = ChunkChecker(replace(bounds, **{of: np.full(7, 1e-12)}))
     still = np.tile(MIDDLE, (4, 1)), np.zeros((4, 7)), np.zeros((4, 7))
     rest = MIDDLE, np.zeros(7), np.zeros(7)
     for factor, accepted in ((0.97, True), (1.06, False)):
