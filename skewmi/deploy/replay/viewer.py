@@ -13,6 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryFile
 
 from skewmi.errors import ConfigurationError
+from skewmi.privacy import viewer_environment
 
 DEFAULT_URL = "rerun+http://127.0.0.1:9876/proxy"
 """Where Rerun's viewers listen unless told otherwise."""
@@ -68,6 +69,8 @@ def spawn_viewer(otherwise: str, url: str = DEFAULT_URL) -> str:
             f"{otherwise}"
         )
     command = [str(_executable()), "--port", str(port), "--bind", host, "--expect-data-soon"]
+    # Its welcome screen fetches a list of examples from the network.
+    command.append("--hide-welcome-screen")
     with TemporaryFile() as words:
         try:
             child = subprocess.Popen(
@@ -77,7 +80,7 @@ def spawn_viewer(otherwise: str, url: str = DEFAULT_URL) -> str:
                 stderr=words,
                 # Ctrl-C ends the run, not the view of it.
                 start_new_session=True,
-                env={**os.environ, "RERUN_APP_ONLY": "true", "NO_COLOR": "1"},
+                env={**viewer_environment(), "RERUN_APP_ONLY": "true", "NO_COLOR": "1"},
             )
         except OSError as error:
             raise ConfigurationError(
