@@ -12,11 +12,11 @@ from __future__ import annotations
 import argparse
 import json
 import subprocess
-import sys
 from typing import Any
 
 from common import argument_parser, print_result, progress, write_result
 
+from skewmi.child import child_command
 from skewmi.deploy.policy import OnnxPolicy
 
 KEPT_OF_DEPLOY = (
@@ -38,7 +38,7 @@ KEPT_OF_DEPLOY = (
 def run(*arguments: str) -> dict[str, Any]:
     """Output of one command as the dictionary that it prints."""
     progress(f"skewmi {' '.join(arguments)}")
-    command = [sys.executable, "-m", "skewmi.cli.main", *arguments, "--json"]
+    command = child_command("-m", "skewmi.cli.main", *arguments, "--json")
     output = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout
     document: dict[str, Any] = json.loads(output)
     return document

@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import shlex
 import subprocess
-import sys
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 from skewmi import policies
+from skewmi.child import child_command
 from skewmi.cli.task_flags import TaskName
 from skewmi.errors import ConfigurationError
 from skewmi.sim import tasks
@@ -65,7 +65,7 @@ class Steps:
         self.console.print(f"\n[bold]$ skewmi {shlex.join(arguments)}[/bold]", highlight=False)
         start = time.monotonic()
         process = subprocess.run(
-            [sys.executable, "-m", "skewmi.cli.main", *arguments, "--json"],
+            child_command("-m", "skewmi.cli.main", *arguments, "--json"),
             stdout=subprocess.PIPE,
             text=True,
             check=False,

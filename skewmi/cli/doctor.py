@@ -22,6 +22,7 @@ from typing import Literal
 
 import numpy as np
 
+from skewmi.child import child_command
 from skewmi.cli import doctor_probes
 from skewmi.errors import ConfigurationError
 
@@ -219,7 +220,7 @@ def _probe(
     environment: dict[str, str] | None = None,
 ) -> Check:
     """Run a script in a fresh interpreter; its last line of output is what was found."""
-    command = [sys.executable, "-c", script, *arguments]
+    command = child_command("-c", script, *arguments)
     try:
         result = subprocess.run(
             command,

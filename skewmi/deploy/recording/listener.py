@@ -1,7 +1,8 @@
 """Inside a process that listens to everything on a link: what recorder and live view share.
 
 Standard input: lines of JSON, the first one the task with the link's configuration under
-"config"; its end is the end of the run. Standard output: a line when everything is subscribed to.
+"config"; its end is the end of the run. Standard output: a line of `child.tell_parent` when
+everything is subscribed to.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
 
+from skewmi.child import tell_parent
 from skewmi.deploy.wire.channels import Sample
 from skewmi.deploy.wire.topics import TOPICS, YUMI_DESCRIBE, Topic
 from skewmi.deploy.wire.transport import Link, TransportConfig
@@ -104,8 +106,7 @@ def listen(
     # subscribe to. Not everything that publishes serves descriptions.
     with contextlib.suppress(TransportError):
         link.call(YUMI_DESCRIBE, _ANSWER_S)
-    sys.stdout.write("ready\n")
-    sys.stdout.flush()
+    tell_parent(ready=True)
     end_s = float("inf")
     while True:
         # Looked at before the topics, so that what came before the end is handed over.

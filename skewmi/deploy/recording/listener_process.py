@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import contextlib
 import json
-import select
 import subprocess
-import sys
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from tempfile import TemporaryFile
 from typing import Any
 
+from skewmi.child import child_command, told, wait_for_line
 from skewmi.deploy.wire.transport import TransportConfig
 
 _START_TIMEOUT_S = 30.0
@@ -42,7 +41,7 @@ class ListenerProcess:
         # A file, because nobody reads while it runs: a full pipe would block it.
         self._words = TemporaryFile()  # noqa: SIM115 (lives as long as we do)
         self.process = subprocess.Popen(
-            [sys.executable, "-m", module],
+            child_command("-m", module),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._words,
@@ -53,11 +52,10 @@ class ListenerProcess:
         client = replace(config, connect=config.connect or config.listen, listen=(), server=False)
         self.write({**task, "config": _config_json(client)})
         assert self.process.stdout is not None
-        ready, _, _ = select.select([self.process.stdout], [], [], _START_TIMEOUT_S)
-        if not ready or not self.process.stdout.readline():
+        if wait_for_line(self.process.stdout, _is_ready, _START_TIMEOUT_S) is None:
             # If it has said why, it is about to end; otherwise it hangs.
             with contextlib.suppress(subprocess.TimeoutExpired):
-                self.process.wait(0.5 if ready else 0.0)
+                self.process.wait(0.5)
             self.process.kill()
             raise ListenerStartError(self.reason())
 
@@ -81,8 +79,10 @@ class ListenerProcess:
         except subprocess.TimeoutExpired as error:
             self.process.kill()
             raise TimeoutError from error
-        content: dict[str, Any] = json.loads(out)
-        return content
+        last = [content for line in out.splitlines() if (content := told(line)) is not None]
+        if not last:
+            raise ValueError("the process ended without its last words")
+        return last[-1]
 
     def reason(self) -> str:
         """Why the process ended, in its own words if it had any; waits for the end."""
@@ -90,6 +90,10 @@ class ListenerProcess:
         self._words.seek(0)
         lines = [s for s in self._words.read().decode(errors="replace").splitlines() if s.strip()]
         return lines[-1] if lines else "the process was killed or hung"
+
+
+def _is_ready(line: bytes) -> bool:
+    return told(line) == {"ready": True}
 
 
 def _config_json(config: TransportConfig) -> dict[str, object]:

@@ -12,6 +12,7 @@ import json
 import sys
 from pathlib import Path
 
+from skewmi.child import tell_parent
 from skewmi.deploy.recording.listener import Counts, Input, listen
 from skewmi.deploy.recording.writer import RecordingWriter
 from skewmi.deploy.wire.channels import Sample
@@ -52,7 +53,7 @@ def main() -> int:
     except (SkewmiError, OSError) as error:
         sys.stderr.write(f"{' '.join(str(error).split())}\n")
         return 1
-    sys.stdout.write(json.dumps({"messages": counts.messages, "missed": counts.missed}))
+    tell_parent(messages=counts.messages, missed=counts.missed)
     return 0
 
 

@@ -8,7 +8,6 @@ slow those who send. A viewer that dies or hangs takes part of the picture with 
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import select
 import threading
@@ -16,6 +15,7 @@ from collections.abc import Mapping
 from types import TracebackType
 from typing import Self
 
+from skewmi.child import told
 from skewmi.deploy.recording.listener_process import ListenerProcess, ListenerStartError
 from skewmi.deploy.replay.live_options import LiveOptions
 from skewmi.deploy.wire.transport import TransportConfig
@@ -115,9 +115,8 @@ class LiveView:
         if self._stuck:
             self._listener.process.wait()
             return ["the live view hung and was ended"]
-        last = self._said.strip().rsplit(b"\n", 1)[-1]
+        summary = next(filter(None, map(told, reversed(self._said.splitlines()))), {})
         try:
-            summary = json.loads(last)
             missed, taken = int(summary["missed"]), bool(summary["taken"])
         except (ValueError, KeyError, TypeError):
             return [f"the live view ended early: {self._listener.reason()}"]

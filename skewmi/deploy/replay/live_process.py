@@ -10,7 +10,6 @@ counts come last.
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import sys
 import threading
@@ -20,6 +19,7 @@ from typing import Any
 
 import rerun as rr
 
+from skewmi.child import tell_parent
 from skewmi.deploy.recording.listener import Counts, Input, listen
 from skewmi.deploy.replay import viewer
 from skewmi.deploy.replay.assembler import RunAssembler
@@ -117,7 +117,7 @@ def _show(source: Input, streams: _Streams) -> tuple[Counts, RunAssembler]:
 def _tell_alive() -> None:
     with contextlib.suppress(OSError):  # the owner is gone
         while True:
-            os.write(1, b"alive\n")
+            tell_parent(alive=True)
             time.sleep(ALIVE_S)
 
 
@@ -142,14 +142,12 @@ def main() -> int:
         sys.stderr.write(f"{' '.join(str(error).split())}\n")
         return 1
     taken = streams.finish()
-    summary = {
-        "messages": counts.messages,
-        "missed": counts.missed,
-        "malformed": assembler.malformed,
-        "taken": taken,
-    }
-    sys.stdout.write(json.dumps(summary) + "\n")
-    sys.stdout.flush()
+    tell_parent(
+        messages=counts.messages,
+        missed=counts.missed,
+        malformed=assembler.malformed,
+        taken=taken,
+    )
     if not taken:
         # Tidying up would wait for whoever takes nothing more.
         os._exit(0)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import socket
 import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from tempfile import TemporaryFile
 
+from skewmi.child import child_command
+from skewmi.deploy.robot.description import RobotDescription
 from skewmi.errors import TransportError
 
 _READY_TIMEOUT_S = 60.0
@@ -38,7 +39,7 @@ def spawn_robot(
         TransportError: It ended, or was not ready in time; with its own last words.
     """
     locator = f"tcp/127.0.0.1:{free_port()}"
-    command = [sys.executable, "-m", "skewmi.cli.main", "robot", "--backend", name]
+    command = child_command("-m", "skewmi.cli.main", "robot", "--backend", name)
     command += ["--task", task, "--limits", limits, "--listen", locator]
     command += ["--json", "--end-with-input", *(["--lock-step"] if lock_step else [])]
     command += [] if variation is None else ["--variation", variation]
@@ -56,8 +57,7 @@ def spawn_robot(
         try:
             assert child.stdout is not None
             watchdog.start()
-            ready = child.stdout.readline()
-            if not ready:
+            if not any(_describes_a_robot(line) for line in child.stdout):
                 child.wait(_END_TIMEOUT_S)
                 words.seek(0)
                 said = words.read().decode(errors="replace").strip().splitlines()
@@ -77,6 +77,15 @@ def spawn_robot(
                 child.wait()
             if child.stdout is not None:
                 child.stdout.close()
+
+
+def _describes_a_robot(line: bytes) -> bool:
+    """Whether a line is what `skewmi robot --json` prints once it is ready, and nobody else's."""
+    try:
+        RobotDescription.from_json(line.decode(errors="replace"))
+    except TransportError:
+        return False
+    return True
 
 
 def free_port() -> int:
