@@ -24,7 +24,7 @@ $(VENV)/installed: pyproject.toml
 	@touch $@
 
 demo: $(VENV)/installed  ## train, export, deploy on the simulated YuMi, write the replay
-	$(BIN)/skewmi demo
+	$(BIN)/skewmi demo --overwrite
 
 test: $(VENV)/installed  ## the whole suite but the slow tests
 	$(BIN)/python -m pytest -q -n $(JOBS) -m "not slow"

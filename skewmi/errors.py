@@ -15,6 +15,10 @@ class ConfigurationError(SkewmiError):
     """A value in a configuration, a flag or a file is not allowed."""
 
 
+class OutputError(ConfigurationError):
+    """A file or folder must not or cannot be written; the message says which and why."""
+
+
 class NotFoundError(SkewmiError):
     """Something asked for by name does not exist; the message lists what does."""
 

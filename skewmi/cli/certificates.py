@@ -13,6 +13,7 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
+from skewmi.deploy.wire.domain import ros_domain
 from skewmi.errors import NotFoundError
 
 
@@ -28,6 +29,9 @@ class CertificatesCommand:
     """Address on that machine to listen on; by default the first --host."""
     port: int = 7447
     """TCP port to listen on."""
+    domain: int | None = None
+    """ROS 2 domain that is opened up, 0..232; by default ROS_DOMAIN_ID, else 0. Robot and
+    commands must be in the same one."""
     days: int = 90
     """How long the certificates are valid, days."""
     overwrite: bool = False
@@ -45,7 +49,9 @@ def run_certificates(options: CertificatesCommand) -> int:
             f"`skewmi certificates` needs the package {error.name!r}: "
             "pip install 'skewmi[security]'"
         ) from error
-    plan = CertificatePlan(options.host, options.port, options.listen, options.days)
+    plan = CertificatePlan(
+        options.host, options.port, options.listen, options.days, ros_domain(options.domain)
+    )
     written = write_certificates(options.out, plan, overwrite=options.overwrite)
     files = {role.value: str(path) for role, path in written.configurations.items()}
     if options.json:

@@ -22,6 +22,7 @@ from skewmi import policies
 from skewmi.child import child_command
 from skewmi.cli.task_flags import TaskName
 from skewmi.errors import ConfigurationError
+from skewmi.outputs import check_output
 from skewmi.sim import tasks
 
 
@@ -30,7 +31,9 @@ class DemoCommand:
     """Options of `skewmi demo`."""
 
     out: Path = Path("demo")
-    """Directory for everything the demo writes; an earlier demo's files in it are replaced."""
+    """Directory for everything the demo writes."""
+    overwrite: bool = False
+    """Replace the files of an earlier demo in that directory; its runs are kept."""
     task: TaskName = field(default_factory=tasks.default)
     """Task to train and deploy; one with an arm."""
     minutes: float = 4.0
@@ -87,22 +90,24 @@ def run_demo(options: DemoCommand) -> int:
     if options.episodes < 1:
         raise ConfigurationError(f"--episodes is {options.episodes}; at least 1 is needed")
     out = options.out
-    out.mkdir(parents=True, exist_ok=True)
     run_dir = out / "runs" / time.strftime("%Y%m%d-%H%M%S")
     onnx, mcap, rrd = out / "policy.onnx", out / "episodes.mcap", out / "episodes.rrd"
     film, strip = out / "episode.gif", out / "episode.png"
-    seed = str(options.seed)
+    for path in (onnx, mcap, rrd, film, strip):
+        check_output(path, overwrite=options.overwrite)
+    seed, replace = str(options.seed), ["--overwrite"] if options.overwrite else []
     steps = Steps(Console(stderr=True))
     train = ["--task", options.task, "--minutes", str(options.minutes), "--seed", seed]
     steps.run("train", ["train", "--run-dir", str(run_dir), *train])
-    steps.run("export", ["export-onnx", str(run_dir), "--out", str(onnx), "--seed", seed])
+    steps.run("export", ["export-onnx", str(run_dir), "--out", str(onnx), *replace, "--seed", seed])
     bundled = options.deploy == "bundled" and options.task in policies.bundled()
     deployed = options.task if bundled else str(onnx)
     deploy = ["--episodes", str(options.episodes), "--seed", seed, "--limits", options.limits]
-    record = ["--record", str(mcap), "--overwrite"]
+    record = ["--record", str(mcap), *replace]
     steps.run("deploy", ["deploy", deployed, "--robot", "sim", *deploy, *record])
-    steps.run("replay", ["replay", str(mcap), "--out", str(rrd)])
-    steps.run("film", ["film", str(mcap), "--out", str(film), "--strip", str(strip)])
+    steps.run("replay", ["replay", str(mcap), "--out", str(rrd), *replace])
+    pictures = ["--out", str(film), "--strip", str(strip), *replace]
+    steps.run("film", ["film", str(mcap), *pictures])
     files = {"run": run_dir, "policy": onnx, "recording": mcap, "replay": rrd}
     files |= {"film": film, "picture": strip}
     document = {

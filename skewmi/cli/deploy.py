@@ -23,6 +23,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from skewmi import policies
 from skewmi.cli.interrupt import signals_to_handle
 from skewmi.cli.robot_flags import RobotName
 from skewmi.cli.task_flags import variation_option
@@ -32,7 +33,8 @@ from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.policy import OnnxPolicy
 from skewmi.deploy.replay.live_options import LiveOptions
 from skewmi.deploy.report import DeployReport
-from skewmi.errors import ConfigurationError
+from skewmi.deploy.wire.domain import ros_domain
+from skewmi.outputs import check_output
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,8 @@ class DeployCommand:
     """Which robot to start for this run, unless --connect or --zenoh-config names one that runs."""
     connect: str | None = None
     """Zenoh locator of a running `skewmi robot`, such as tcp/127.0.0.1:7447."""
+    domain: int | None = None
+    """ROS 2 domain, 0..232; by default ROS_DOMAIN_ID, else 0."""
     variation: str | None = None
     """How the simulated robot that is started and its scene differ from the nominal ones: a
     variation file (YAML), or the name of one that comes with the task, as `randomised`. Each
@@ -85,9 +89,7 @@ def deploy_policy(options: DeployCommand) -> DeployReport:
     """Load the policy and run it; progress on standard error."""
     policy = OnnxPolicy.load(options.policy)
     variation = variation_option(policy.layout.task, options.variation).get("variation")
-    for file in (options.record, options.live_out):
-        if file is not None and file.exists() and not options.overwrite:
-            raise ConfigurationError(f"{file} exists; give another file or --overwrite")
+    _check_outputs(options)
     live = LiveOptions(options.live, options.live_connect, options.live_out)
     console = Console(stderr=True)
 
@@ -103,6 +105,7 @@ def deploy_policy(options: DeployCommand) -> DeployReport:
                 seed=options.seed,
                 robot=options.robot,
                 connect=options.connect,
+                domain=ros_domain(options.domain),
                 variation=variation,
                 lock_step=options.lock_step,
                 limits=options.limits,
@@ -119,6 +122,16 @@ def deploy_policy(options: DeployCommand) -> DeployReport:
             stop=stop,
             on_event=tell,
         )
+
+
+def _check_outputs(options: DeployCommand) -> None:
+    """See that the run's files can be written, before anything moves."""
+    variation = None if options.variation is None else Path(options.variation)
+    needed = [policies.locate(options.policy), options.zenoh_config, variation]
+    outputs = [options.record, options.live_out]
+    for output, other in zip(outputs, reversed(outputs), strict=True):
+        if output is not None:
+            check_output(output, overwrite=options.overwrite, inputs=[*needed, other])
 
 
 def run_deploy(options: DeployCommand) -> int:

@@ -31,6 +31,9 @@ DEFAULT_PORT = 7447
 
 _TIMEOUT_S = 60.0
 
+_BUILT_ON_ARM64 = ("ruckig",)
+"""Packages without a ready-made build for ARM64 Linux: pip compiles them."""
+
 
 @dataclass(frozen=True)
 class DoctorCommand:
@@ -121,13 +124,21 @@ def _packages() -> Iterator[Check]:
         try:
             version = importlib.metadata.version(requirement.name)
         except importlib.metadata.PackageNotFoundError:
-            yield Check(requirement.name, bad, "not installed", install)
+            advice = install_advice(requirement.name, install, platform.machine())
+            yield Check(requirement.name, bad, "not installed", advice)
             continue
         if requirement.specifier.contains(version, prereleases=True):
             yield Check(requirement.name, "ok", version)
         else:
             found = f"{version}, needed is {requirement.specifier}"
             yield Check(requirement.name, bad, found, install)
+
+
+def install_advice(package: str, install: str, machine: str) -> str:
+    """How to install a package on a kind of processor, such as "aarch64"."""
+    if package in _BUILT_ON_ARM64 and machine.lower() in ("aarch64", "arm64"):
+        return f"apt-get install g++ cmake python3-dev, then {install}, which compiles it"
+    return install
 
 
 def _cores() -> Check:
@@ -228,7 +239,7 @@ def _probe(
             text=True,
             timeout=_TIMEOUT_S,
             check=False,
-            env={**os.environ, **(environment or {})},
+            env={**_without_opengl(), **(environment or {})},
         )
     except subprocess.TimeoutExpired:
         return Check(name, bad, f"no answer within {_TIMEOUT_S:.0f} s", advice)
@@ -236,6 +247,11 @@ def _probe(
         return Check(name, "ok", _last_line(result.stdout))
     reason = _last_line(result.stderr) or f"ended with code {result.returncode}"
     return Check(name, bad, reason[:160], advice)
+
+
+def _without_opengl() -> dict[str, str]:
+    """Our environment, in which MuJoCo loads no OpenGL that may be missing: as in `cli.main`."""
+    return {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}
 
 
 def _last_line(text: str) -> str:

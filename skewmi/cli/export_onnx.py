@@ -22,6 +22,7 @@ from skewmi.batch_env import BatchEnv
 from skewmi.cli.policies import Which, load_run, make_env, progress_bar, task_options
 from skewmi.errors import CheckpointError, NotFoundError, VerificationError
 from skewmi.evaluation.rollout import run_episodes, summarise
+from skewmi.outputs import check_output
 
 if TYPE_CHECKING:
     from skewmi.train.policy import TorchPolicy
@@ -35,6 +36,8 @@ class ExportOnnxCommand:
     """Run directory of skewmi train."""
     out: Path
     """File to write."""
+    overwrite: bool = False
+    """Replace an existing file; never one of the run's own."""
     which: Which = "latest"
     """Which checkpoint."""
     episodes: int = 100
@@ -54,6 +57,8 @@ class ExportOnnxCommand:
 def run_export_onnx(options: ExportOnnxCommand) -> int:
     """Export. Returns 0 if the file was written, 1 if it differed from torch and was not."""
     policy = load_run(options.run_dir, options.which)
+    own = [path for path in options.run_dir.rglob("*") if path.suffix != ".onnx"]
+    check_output(options.out, overwrite=options.overwrite, inputs=own)
     from_run = run_metadata(options.run_dir, policy)
     try:
         from skewmi.export.onnx_export import export_policy

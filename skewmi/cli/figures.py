@@ -15,11 +15,16 @@ from typing import Annotated, Any
 import tyro
 
 from skewmi.batch_env import BatchEnv
+from skewmi.errors import ConfigurationError
 from skewmi.evaluation.figures import draw_coverage, draw_curves
 from skewmi.evaluation.learning import draw_learning, read_record
+from skewmi.outputs import check_output
 from skewmi.sim import tasks
 from skewmi.train.checkpoint import read_run_header
 from skewmi.train.config import TrainConfig
+
+PICTURES = ("curves", "learning", "coverage")
+MAX_DPI = 2000
 
 
 @dataclass(frozen=True)
@@ -32,21 +37,25 @@ class FiguresCommand:
     """Directory for the pictures; default: the run directory."""
     dpi: int = 110
     """Resolution, dots per inch."""
+    overwrite: bool = False
+    """Replace existing pictures."""
     json: bool = False
     """Print the names of the files as one JSON document."""
 
 
 def run_figures(options: FiguresCommand) -> int:
     """Draw and say where. Returns 0."""
+    if not 1 <= options.dpi <= MAX_DPI:
+        raise ConfigurationError(f"--dpi is {options.dpi}; it must be in 1..{MAX_DPI}")
     config, layout = read_run_header(options.run_dir)
     out = options.run_dir if options.out is None else options.out
-    out.mkdir(parents=True, exist_ok=True)
-    files = [draw_curves(options.run_dir, out / "curves.png", options.dpi)]
+    curves, learning, coverage = (out / f"{name}.png" for name in PICTURES)
+    for path in (curves, learning, coverage):
+        check_output(path, overwrite=options.overwrite)
+    files = [draw_curves(options.run_dir, curves, options.dpi)]
     planes = tasks.find(config.task).planes
-    record, learning = read_record(options.run_dir), out / "learning.png"
-    files.append(draw_learning([record], learning, options.dpi, planes))
+    files.append(draw_learning([read_record(options.run_dir)], learning, options.dpi, planes))
     reachable = _environment(config).reachable if layout.state_dim == 2 else None
-    coverage = out / "coverage.png"
     files.append(
         draw_coverage(options.run_dir, config, layout, coverage, options.dpi, reachable=reachable)
     )

@@ -24,7 +24,11 @@ from skewmi.evaluation.film import (
     running_stamps,
     split_episodes,
 )
+from skewmi.outputs import check_output
 from skewmi.sim import tasks
+
+MAX_RATE = 1000.0
+"""Frames per second of the episode's time; more show nothing new of a robot sampled at 250 Hz."""
 
 
 @dataclass(frozen=True)
@@ -49,16 +53,22 @@ class FilmCommand:
     """Frames per second of the episode's time."""
     frames: int = 12
     """Frames of the strip."""
+    overwrite: bool = False
+    """Replace existing files; never the recording."""
     json: bool = False
     """Print what was written as one JSON document."""
 
 
 def run_film(options: FilmCommand) -> int:
     """Draw. Returns 0."""
-    if not options.rate > 0.0:
-        raise ConfigurationError(f"--rate is {options.rate}; it must be positive")
+    if not 0.0 < options.rate <= MAX_RATE:
+        raise ConfigurationError(f"--rate is {options.rate}; it must be in 0..{MAX_RATE:g}, not 0")
     if options.frames < 1:
         raise ConfigurationError(f"--frames is {options.frames}; at least 1 is needed")
+    out = options.out if options.out is not None else options.recording.with_suffix(".gif")
+    check_output(out, overwrite=options.overwrite, inputs=[options.recording, options.strip])
+    if options.strip is not None:
+        check_output(options.strip, overwrite=options.overwrite, inputs=[options.recording, out])
     recording = read_recording(options.recording)
     spec = tasks.find(recorded_layout(recording).task)
     if spec.arm is None:
@@ -83,7 +93,6 @@ def run_film(options: FilmCommand) -> int:
 
     from skewmi.sim import rendering
 
-    out = options.out if options.out is not None else options.recording.with_suffix(".gif")
     values = observed.at(times)
     labels = [
         caption(spec.captions, observed.names, row, (t - start) / 1e9)

@@ -10,6 +10,7 @@ import importlib
 import os
 import sys
 import textwrap
+from contextlib import suppress
 
 import tyro
 
@@ -60,6 +61,7 @@ def run_command(name: str, arguments: list[str]) -> int:
     """
     if name not in COMMANDS:
         raise NotFoundError(f"unknown command {name!r}; commands are {', '.join(COMMANDS)}")
+    _load_mujoco_safely()
     module_name = name.replace("-", "_")
     try:
         module = importlib.import_module(f"skewmi.cli.{module_name}")
@@ -101,7 +103,10 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"skewmi {__version__}")
         return 0
     try:
-        return run_command(arguments[0], arguments[1:])
+        code = run_command(arguments[0], arguments[1:])
+        # Here, where a full disk or a closed pipe behind standard output can still be told.
+        sys.stdout.flush()
+        return code
     except SkewmiError as error:
         print(f"skewmi {arguments[0]}: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
@@ -110,8 +115,38 @@ def main(arguments: list[str] | None = None) -> int:
         return 130
     except BrokenPipeError:
         # The reader (head, less) went away; leave quietly, as other tools do.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _discard_output()
         return 0
+    except OSError as error:
+        # Whatever else the machine refuses: a full disk, a missing right, a broken file system.
+        where = f" ({error.filename})" if error.filename is not None else ""
+        reason = error.strerror or " ".join(str(error).split())
+        print(f"skewmi {arguments[0]}: {reason}{where}", file=sys.stderr)
+        _discard_output()
+        return 2
+
+
+def _load_mujoco_safely() -> None:
+    """Import MuJoCo without MUJOCO_GL if that is set.
+
+    MuJoCo loads the platform that it names when it is imported, and cannot be imported without
+    it; most commands draw nothing. Those that do look at the variable when they draw
+    (`sim.offscreen`).
+    """
+    chosen = os.environ.pop("MUJOCO_GL", None)
+    if chosen is None:
+        return
+    try:
+        with suppress(ImportError):
+            importlib.import_module("mujoco")
+    finally:
+        os.environ["MUJOCO_GL"] = chosen
+
+
+def _discard_output() -> None:
+    """What is left in standard output's buffer goes nowhere, instead of failing at exit."""
+    with suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 if __name__ == "__main__":

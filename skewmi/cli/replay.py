@@ -29,6 +29,8 @@ class ReplayCommand:
     """Rerun file to write; by default the recording's name with .rrd."""
     live: bool = False
     """Open a Rerun viewer instead of writing a file."""
+    overwrite: bool = False
+    """Replace an existing file; never the recording."""
     json: bool = False
     """Print the summary as one JSON document."""
 
@@ -45,7 +47,7 @@ def run_replay(options: ReplayCommand) -> int:
         if options.live:
             report = show_replay(options.recording)
         else:
-            report = write_replay(options.recording, out)
+            report = write_replay(options.recording, out, overwrite=options.overwrite)
     if options.json:
         written = None if options.live else str(out)
         print(json.dumps({"rrd": written, **asdict(report)}))

@@ -27,6 +27,7 @@ from skewmi.cli.task_flags import TaskName
 from skewmi.deploy.robot.backends import BackendOptions
 from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.robot.run import serve_robot
+from skewmi.deploy.wire.domain import ros_domain
 from skewmi.deploy.wire.transport import TransportConfig
 from skewmi.robot_models import limits as joint_limits
 from skewmi.sim import tasks
@@ -45,6 +46,8 @@ class RobotCommand:
     one that comes with the task, as `randomised`."""
     listen: str | None = None
     """Zenoh locator to listen on; by default what --zenoh-config says, else tcp/127.0.0.1:7447."""
+    domain: int | None = None
+    """ROS 2 domain, 0..232; by default ROS_DOMAIN_ID, else 0."""
     limits: str = "lab"
     """Joint limit profile to enforce (lab, careful); none is verified on hardware."""
     delay_ms: float | None = None
@@ -63,7 +66,10 @@ def run_robot(options: RobotCommand) -> int:
     """Serve until interrupted. Returns 0."""
     profile = joint_limits.profile(options.limits)
     config = TransportConfig.for_robot(
-        options.listen, lock_step=options.lock_step, zenoh_config=options.zenoh_config
+        options.listen,
+        domain=ros_domain(options.domain),
+        lock_step=options.lock_step,
+        zenoh_config=options.zenoh_config,
     )
     stop = threading.Event()
     for number in signals_to_handle():
@@ -77,9 +83,10 @@ def run_robot(options: RobotCommand) -> int:
             print(description.to_json(), flush=True)
         pace = "lock-step" if options.lock_step else "real time"
         scene = f" ({description.task})" if description.task else ""
+        domain = f", ROS 2 domain {config.domain}" if config.domain else ""
         console.print(
             f"[bold]robot {description.backend!r}[/]{scene} listens on {config.where}: {pace}, "
-            f"limits {profile.name}, disarmed. Ctrl-C ends it.",
+            f"limits {profile.name}{domain}, disarmed. Ctrl-C ends it.",
             highlight=False,
         )
         for locator in config.unprotected:

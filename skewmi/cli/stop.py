@@ -13,7 +13,11 @@ from pathlib import Path
 
 from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.wire import topics
+from skewmi.deploy.wire.domain import ros_domain
 from skewmi.deploy.wire.transport import Link, TransportConfig
+from skewmi.errors import ConfigurationError
+
+MAX_TIMEOUT_S = 3600.0
 
 
 @dataclass(frozen=True)
@@ -23,6 +27,8 @@ class StopCommand:
     connect: str | None = None
     """Zenoh locator of the robot server; by default what --zenoh-config says, else
     tcp/127.0.0.1:7447."""
+    domain: int | None = None
+    """ROS 2 domain, 0..232; by default ROS_DOMAIN_ID, else 0."""
     timeout_s: float = 5.0
     """How long to wait for the arm to rest, s."""
     zenoh_config: Path | None = None
@@ -33,7 +39,13 @@ class StopCommand:
 
 def run_stop(options: StopCommand) -> int:
     """Stop the arm. Returns 0 if it rests disarmed, 1 if not in time or in fault."""
-    config = TransportConfig.for_client(options.connect, zenoh_config=options.zenoh_config)
+    if not 0.0 < options.timeout_s <= MAX_TIMEOUT_S:
+        raise ConfigurationError(
+            f"--timeout-s is {options.timeout_s}; it must be in 0..{MAX_TIMEOUT_S:g}, not 0"
+        )
+    config = TransportConfig.for_client(
+        options.connect, domain=ros_domain(options.domain), zenoh_config=options.zenoh_config
+    )
     with Link.open(config, f"skewmi_stop_{os.getpid()}") as link:
         deadline = time.monotonic() + options.timeout_s
         link.call(topics.YUMI_STOP, options.timeout_s, b"skewmi stop")

@@ -25,6 +25,8 @@ class DeployOptions:
     variation: str | None = None
     """Model variation of the simulated robot that is started; not together with `connect` or
     `zenoh_config`."""
+    domain: int = 0
+    """ROS 2 domain of the robot server."""
     lock_step: bool = False
     """Robot server and session wait for each other: fast and repeatable. Simulated robots only."""
     limits: str = "lab"

@@ -77,10 +77,14 @@ def run_deploy(
             profile.name,
             lock_step=options.lock_step,
             variation=options.variation,
+            domain=options.domain,
         )
     with server as locator:
         config = TransportConfig.for_client(
-            locator, lock_step=options.lock_step, zenoh_config=options.zenoh_config
+            locator,
+            domain=options.domain,
+            lock_step=options.lock_step,
+            zenoh_config=options.zenoh_config,
         )
         with Link.open(config, NODE_NAME) as link:
             link.wait_for_robot(5.0)

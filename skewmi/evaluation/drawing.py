@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from skewmi.outputs import written_aside
 from skewmi.policy_io import Array, PolicyLayout
 from skewmi.success import inside_region
 
@@ -38,11 +39,18 @@ def new_axes(rows: int, columns: int, width: float, height: float) -> tuple[Any,
 
 
 def save(figure: Any, path: Any, dpi: int) -> None:
-    """Write the picture and give its memory back."""
+    """Write the picture and give its memory back.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
     from matplotlib import pyplot
 
-    figure.savefig(path, dpi=dpi)
-    pyplot.close(figure)
+    try:
+        with written_aside(path) as draft:
+            figure.savefig(draft, dpi=dpi)
+    finally:
+        pyplot.close(figure)
 
 
 def strip(axis: Axes) -> None:

@@ -19,9 +19,7 @@ import importlib.metadata
 import io
 import json
 import logging
-import os
 import platform
-import tempfile
 import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -39,6 +37,7 @@ import skewmi
 from skewmi import policy_file
 from skewmi.errors import PolicyFileError, VerificationError
 from skewmi.export.exportable import ExportablePolicy
+from skewmi.outputs import make_folder, written_aside
 from skewmi.policy_io import Array, PolicyLayout
 
 TOLERANCE = 1e-5
@@ -84,8 +83,8 @@ def export_policy(
     Raises:
         VerificationError: The graph differs from torch by more than `TOLERANCE`, or weights
             or actions are not finite.
-        PolicyFileError: The graph cannot be built, metadata are missing or not JSON, or the
-            file cannot be written.
+        PolicyFileError: The graph cannot be built, or metadata are missing or not JSON.
+        OutputError: The file cannot be written.
     """
     path = Path(path)
     observations = np.asarray(observations, dtype=np.float64)
@@ -308,21 +307,8 @@ def write_atomically(path: Path, data: bytes) -> None:
     """Write a file so that it has either its former content or all of the new one.
 
     Raises:
-        PolicyFileError: The directory or file cannot be written.
+        OutputError: The directory or file cannot be written.
     """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    except OSError as error:
-        raise PolicyFileError(f"cannot write {path}: {error.strerror}") from error
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(name, 0o644)  # mkstemp makes files that only their owner reads
-        os.replace(name, path)
-    except OSError as error:
-        raise PolicyFileError(f"cannot write {path}: {error.strerror}") from error
-    finally:
-        Path(name).unlink(missing_ok=True)
+    make_folder(path.parent)
+    with written_aside(path) as draft:
+        draft.write_bytes(data)

@@ -79,7 +79,8 @@ class GoalTask:
         unknown = set(options or {}) - {"desired_goal"}
         if unknown:
             raise ConfigurationError(
-                f"reset has no options {sorted(unknown)}; the only one is 'desired_goal'"
+                f"reset has no options {sorted(unknown)}; there is 'desired_goal' (and for vector "
+                "environments 'reset_mask')"
             )
         goal = (options or {}).get("desired_goal", self.goals.default)
         self.desired_goal = self.goals.checked(goal, self.batch.num_envs)

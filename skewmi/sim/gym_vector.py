@@ -62,10 +62,39 @@ class GoalVectorEnv(GoalFace, VectorEnv[Any, Any, NDArray[Any]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[GoalObservation, dict[str, Any]]:
-        """Start episodes everywhere; `desired_goal` is (goal_dim,) or (num_envs, goal_dim)."""
+        """Start episodes everywhere.
+
+        Args:
+            seed: Of the start states; None goes on with the random streams.
+            options: `desired_goal` of shape (goal_dim,) or (num_envs, goal_dim); `reset_mask` of
+                shape (num_envs,), bool, as Gymnasium's own vector environments take it with
+                AutoresetMode.DISABLED: which copies to start anew. All copies end together
+                here, so that those that ended are all of them.
+
+        Raises:
+            ConfigurationError: An option or its value is not allowed, or the mask would start
+                some copies anew and let the others go on.
+        """
+        options = dict(options or {})
+        mask = options.pop("reset_mask", None)
+        if mask is not None:
+            self._check_mask(mask)
         super().reset(seed=seed)
         self._ended = False
         return self._task.reset(seed, options, self.np_random), {}
+
+    def _check_mask(self, mask: Any) -> None:
+        mask = np.asarray(mask)
+        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_:
+            raise ConfigurationError(
+                f"reset_mask has shape {mask.shape} and type {mask.dtype}; it must be "
+                f"({self.num_envs},) and bool"
+            )
+        if not mask.all():
+            raise ConfigurationError(
+                f"reset_mask names {int(mask.sum())} of {self.num_envs} copies; all episodes start "
+                "and end together here, so reset all of them, or make environments of one copy"
+            )
 
     def step(
         self, actions: NDArray[np.float32]

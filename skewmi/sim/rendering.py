@@ -14,6 +14,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from skewmi.errors import ConfigurationError, NotFoundError
+from skewmi.outputs import written_aside
 from skewmi.sim.offscreen import Image as Frame
 from skewmi.sim.offscreen import make_renderer
 
@@ -90,7 +91,8 @@ def write_film(path: Path, frames: Iterable[Frame], *, frames_per_second: float)
     """Write an endlessly repeating animation, GIF or WebP by the file's suffix.
 
     Raises:
-        ConfigurationError: Another suffix, no frame, or a rate that is not positive.
+        ConfigurationError: Another suffix, no frame, a rate that is not positive, or the file
+            cannot be written.
     """
     if path.suffix.lower() not in FILM_SUFFIXES:
         raise ConfigurationError(
@@ -101,13 +103,14 @@ def write_film(path: Path, frames: Iterable[Frame], *, frames_per_second: float)
     images = [Image.fromarray(frame) for frame in frames]
     if not images:
         raise ConfigurationError(f"film {path.name!r}: there is no frame to write")
-    images[0].save(
-        path,
-        save_all=True,
-        append_images=images[1:],
-        duration=round(1000.0 / frames_per_second),
-        loop=0,
-    )
+    with written_aside(path) as draft:
+        images[0].save(
+            draft,
+            save_all=True,
+            append_images=images[1:],
+            duration=round(1000.0 / frames_per_second),
+            loop=0,
+        )
 
 
 def contact_sheet(frames: Sequence[Frame], labels: Sequence[str], *, columns: int = 4) -> Frame:
@@ -134,8 +137,13 @@ def contact_sheet(frames: Sequence[Frame], labels: Sequence[str], *, columns: in
 
 
 def write_picture(path: Path, frame: Frame) -> None:
-    """Write one frame; the suffix gives the format (PNG, JPEG, WebP)."""
+    """Write one frame; the suffix gives the format (PNG, JPEG, WebP).
+
+    Raises:
+        ConfigurationError: Another suffix, or the file cannot be written.
+    """
     try:
-        Image.fromarray(frame).save(path)
+        with written_aside(path) as draft:
+            Image.fromarray(frame).save(draft)
     except ValueError as error:
         raise ConfigurationError(f"picture {path.name!r}: {error}") from error

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 from pathlib import Path
 
 import mujoco
@@ -9,6 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from skewmi.child import child_command
 from skewmi.errors import ConfigurationError, NotFoundError
 from skewmi.sim.arm.scene import ArmScene
 from skewmi.sim.rendering import Renderer, contact_sheet, label, write_film, write_picture
@@ -87,3 +90,62 @@ def test_a_label_leaves_the_original_alone(tmp_path: Path) -> None:
         assert np.array_equal(np.asarray(picture), labelled)
     with pytest.raises(ConfigurationError):
         write_picture(tmp_path / "a.xyz", labelled)
+
+
+DRAW = """
+import mujoco
+from skewmi.errors import ConfigurationError
+from skewmi.sim.offscreen import make_renderer
+model = mujoco.MjModel.from_xml_string(
+    '<mujoco><worldbody><light pos="0 0 3"/><geom type="sphere" size="0.1"/></worldbody></mujoco>'
+)
+data = mujoco.MjData(model)
+mujoco.mj_forward(model, data)
+try:
+    for _ in range(2):
+        renderer = make_renderer(model, 64, 48)
+        renderer.update_scene(data)
+        print(renderer.render().std() > 0.0)
+        renderer.close()
+except ConfigurationError as error:
+    print(error)
+"""
+
+
+def drawn(**variables: str) -> list[str]:
+    """What a fresh process prints that draws in an environment."""
+    names = ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL")
+    environment = {k: v for k, v in os.environ.items() if k not in names} | variables
+    done = subprocess.run(
+        child_command("-c", DRAW), env=environment, capture_output=True, text=True, check=True
+    )
+    return done.stdout.splitlines()
+
+
+def test_a_display_that_is_gone_does_not_hinder_pictures() -> None:
+    without = drawn()
+    if without != ["True", "True"]:
+        pytest.skip(f"no EGL here: {without}")
+    for display in (":77", "localhost:10.0"):
+        assert drawn(DISPLAY=display) == ["True", "True"]
+    assert drawn(WAYLAND_DISPLAY="wayland-9") == ["True", "True"]
+
+
+def test_a_platform_that_was_asked_for_and_fails_is_named() -> None:
+    (line,) = drawn(MUJOCO_GL="glfw", DISPLAY=":77")
+    assert "MUJOCO_GL=glfw" in line
+    assert "unset it" in line
+
+
+def test_commands_that_draw_nothing_need_no_opengl(tmp_path: Path) -> None:
+    """`osmesa` without its library, and a word that MuJoCo does not know, fail its import."""
+    arguments = ["evaluate", "--agent", "zero", "--task", "open_press_close", "--episodes", "1"]
+    for chosen in ("osmesa", "nonsense"):
+        done = subprocess.run(
+            child_command("-m", "skewmi.cli.main", *arguments, "--json"),
+            env={**os.environ, "MUJOCO_GL": chosen},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr

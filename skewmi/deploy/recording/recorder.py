@@ -20,7 +20,8 @@ from typing import Self
 from skewmi.deploy.recording.listener_process import ListenerProcess, ListenerStartError
 from skewmi.deploy.recording.reader import METADATA_NAME
 from skewmi.deploy.wire.transport import TransportConfig
-from skewmi.errors import ConfigurationError, TransportError
+from skewmi.errors import TransportError
+from skewmi.outputs import check_output, writing
 
 _CLOSE_TIMEOUT_S = 20.0
 
@@ -57,15 +58,13 @@ class Recorder:
             overwrite: Replace an existing file.
 
         Raises:
-            ConfigurationError: The file exists, or its folder does not.
+            OutputError: The file exists, or its folder cannot be written.
             TransportError: Nobody answers, or the process does not start.
         """
         path = Path(path)
-        if path.exists() and not overwrite:
-            raise ConfigurationError(f"{path} exists already; choose another file to record to")
-        if not path.parent.is_dir():
-            raise ConfigurationError(f"cannot record to {path}: there is no folder {path.parent}")
-        path.unlink(missing_ok=True)
+        check_output(path, overwrite=overwrite)
+        with writing(path):
+            path.unlink(missing_ok=True)
         self.path = path
         self._summary: RecordingSummary | None = None
         try:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from skewmi.deploy.replay import viewer
 from skewmi.deploy.replay.assembler import understand
 from skewmi.deploy.replay.data import Run
 from skewmi.deploy.replay.view import RunView
-from skewmi.errors import ConfigurationError
+from skewmi.outputs import check_output, written_aside
 
 APPLICATION = "skewmi_replay"
 
@@ -38,30 +37,27 @@ class ReplayReport:
     """Largest distance from commanded to measured hand, mm."""
 
 
-def write_replay(recording_path: Path, rrd_path: Path) -> ReplayReport:
+def write_replay(recording_path: Path, rrd_path: Path, *, overwrite: bool = False) -> ReplayReport:
     """Write a Rerun file.
 
     Args:
         recording_path: An MCAP recording.
         rrd_path: File to write; appears only when it is complete.
+        overwrite: Replace an existing file, but never the recording.
 
     Raises:
-        ConfigurationError: The recording cannot be used, or the folder does not exist.
+        ConfigurationError: The recording cannot be used, or the file must not or cannot be
+            written.
     """
-    if not rrd_path.parent.is_dir():
-        raise ConfigurationError(f"cannot write {rrd_path}: there is no folder {rrd_path.parent}")
+    check_output(rrd_path, overwrite=overwrite, inputs=[recording_path])
     recording = read_recording(recording_path)
     run = understand(recording)
-    unfinished = rrd_path.with_name(f".{rrd_path.name}.{os.getpid()}.part")
     stream = rr.RecordingStream(APPLICATION, recording_id=recording_path.stem)
-    try:
+    with written_aside(rrd_path) as unfinished:
         stream.save(unfinished)
         RunView(stream, run.subject, recording_path.stem).draw(run)
         stream.flush()
         stream.disconnect()
-        unfinished.replace(rrd_path)
-    finally:
-        unfinished.unlink(missing_ok=True)
     counts = {topic: len(messages) for topic, messages in recording.messages.items()}
     return _report(run, counts, recording.complete)
 

@@ -19,7 +19,13 @@ _END_TIMEOUT_S = 10.0
 
 @contextmanager
 def spawn_robot(
-    name: str, task: str, limits: str, *, lock_step: bool, variation: str | None = None
+    name: str,
+    task: str,
+    limits: str,
+    *,
+    lock_step: bool,
+    variation: str | None = None,
+    domain: int = 0,
 ) -> Iterator[str]:
     """Run `skewmi robot --backend NAME` on a free port until the block is left.
 
@@ -31,6 +37,7 @@ def spawn_robot(
         limits: Name of the limit profile that it enforces.
         lock_step: See `skewmi robot --help`.
         variation: How robot and scene differ from the nominal ones; None if they do not.
+        domain: ROS 2 domain that it is in.
 
     Yields:
         The Zenoh locator that it listens on.
@@ -41,6 +48,7 @@ def spawn_robot(
     locator = f"tcp/127.0.0.1:{free_port()}"
     command = child_command("-m", "skewmi.cli.main", "robot", "--backend", name)
     command += ["--task", task, "--limits", limits, "--listen", locator]
+    command += ["--domain", str(domain)]
     command += ["--json", "--end-with-input", *(["--lock-step"] if lock_step else [])]
     command += [] if variation is None else ["--variation", variation]
     with TemporaryFile() as words:

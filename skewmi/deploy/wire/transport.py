@@ -189,7 +189,8 @@ class Link:
                 f"cannot call {name.name}: {zenoh_file.first_line(error)}"
             ) from error
         raise TransportError(
-            f"no answer from {name.name} at {self._config.where} within {timeout_s:g} s"
+            f"no answer from {name.name} at {self._config.where} in ROS 2 domain "
+            f"{self._config.domain} within {timeout_s:g} s"
         )
 
     def wait_for_robot(self, timeout_s: float) -> dict[str, Any]:
@@ -211,8 +212,9 @@ class Link:
                 continue
             return _read_description(reply.message, self._config.where)
         raise TransportError(
-            f"no robot server answers at {self._config.where} within {timeout_s:g} s; "
-            "start one with `skewmi robot`"
+            f"no robot server answers at {self._config.where} in ROS 2 domain "
+            f"{self._config.domain} within {timeout_s:g} s; start one with `skewmi robot`, in the "
+            "same domain (--domain, or ROS_DOMAIN_ID)"
         )
 
     def close(self) -> None:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from skewmi.deploy.wire import zenoh_file
+from skewmi.deploy.wire.domain import MAX_DOMAIN
 from skewmi.errors import ConfigurationError
 
 DEFAULT_LOCATOR = "tcp/127.0.0.1:7447"
@@ -44,12 +44,12 @@ class TransportConfig:
 
     def __post_init__(self) -> None:
         for locator in (*self.connect, *self.listen):
-            if not re.fullmatch(r"[a-z0-9]+/[^\s]+", locator):
+            if not zenoh_file.is_locator(locator):
                 raise ConfigurationError(
                     f"{locator!r} is not a Zenoh locator; write one like {DEFAULT_LOCATOR}"
                 )
-        if not 0 <= self.domain <= 232:
-            raise ConfigurationError(f"ROS 2 domain {self.domain} is not in 0..232")
+        if not 0 <= self.domain <= MAX_DOMAIN:
+            raise ConfigurationError(f"ROS 2 domain {self.domain} is not in 0..{MAX_DOMAIN}")
 
     @staticmethod
     def for_robot(listen: str | None = None, **options: Any) -> TransportConfig:

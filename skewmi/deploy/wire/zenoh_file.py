@@ -65,6 +65,15 @@ def locators(config: Any, side: str) -> list[str]:
     return [endpoint for endpoint in endpoints if isinstance(endpoint, str)]
 
 
+def is_locator(text: str) -> bool:
+    """Whether Zenoh itself takes a text for a place to connect to or listen at."""
+    try:
+        zenoh.Config().insert_json5("connect/endpoints", json.dumps([text]))
+    except zenoh.ZError:
+        return False
+    return True
+
+
 def check_protocols(config: Any, path: Path | None) -> None:
     """See whether a configuration allows the links that it asks for.
 

@@ -17,6 +17,9 @@ from skewmi.sim.task_spec import TaskSpec
 GROUP = "skewmi.tasks"
 """Entry points by which other packages register tasks: `name = "package.module:SPEC"`."""
 
+MAX_SEED = 2**63 - 1
+"""What every generator here takes: numpy's any natural number, torch's 64 bits."""
+
 _registered: dict[str, str] = {}
 
 _T = TypeVar("_T")
@@ -115,6 +118,8 @@ def make_batch(
         NotFoundError: There is no such task; the message lists those that exist.
         ConfigurationError: There is no such option, or a value is not allowed.
     """
+    if not 0 <= seed <= MAX_SEED:
+        raise ConfigurationError(f"seed is {seed}; it must be in 0..{MAX_SEED}")
     return _call(name, find(name).batch, num_envs, num_threads=num_threads, seed=seed, **options)
 
 

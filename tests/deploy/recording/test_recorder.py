@@ -138,11 +138,13 @@ time.sleep(60)
 def test_recorder_refuses_before_it_starts(tmp_path, config):
     existing = tmp_path / "run.mcap"
     existing.write_bytes(b"precious")
-    with pytest.raises(ConfigurationError, match="exists already"):
+    with pytest.raises(ConfigurationError, match="exists; give another"):
         Recorder(existing, config)
     assert existing.read_bytes() == b"precious"
-    with pytest.raises(ConfigurationError, match="no folder"):
-        Recorder(tmp_path / "absent" / "run.mcap", config)
+    with pytest.raises(ConfigurationError, match="is a folder"):
+        Recorder(tmp_path, config)
+    with pytest.raises(ConfigurationError, match="Not a directory"):
+        Recorder(existing / "run.mcap", config)
 
 
 def test_recorder_without_robot_server_says_so(tmp_path, config):

@@ -110,8 +110,8 @@ def test_bad_input_is_refused_and_leaves_nothing_behind(tmp_path):
         with pytest.raises(ConfigurationError, match=complaint):
             write_replay(path, out)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["other.mcap", "text.mcap"]
-    with pytest.raises(ConfigurationError, match="no folder"):
-        write_replay(other, tmp_path / "absent" / "out.rrd")
+    with pytest.raises(ConfigurationError, match="this command needs"):
+        write_replay(other, tmp_path / "." / "other.mcap", overwrite=True)
 
 
 def test_command_prints_one_json_document(recorded, tmp_path, capsys):

@@ -1,0 +1,87 @@
+"""A number that makes no sense is one line and exit code 2, whatever the command and option."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import typing
+from pathlib import Path
+
+import pytest
+
+from skewmi.cli.main import COMMANDS, main
+from skewmi.sim.tasks import MAX_SEED
+
+BEFORE: dict[str, list[str]] = {
+    "demo": ["--out", "{t}/demo"],
+    "train": ["--task", "point_maze", "--run-dir", "{t}/run", "--quiet"],
+    "evaluate": ["--agent", "zero", "--task", "point_maze"],
+    "figures": ["{r}", "--out", "{t}/figures"],
+    "export-onnx": ["{r}", "--out", "{t}/p.onnx"],
+    "robot": ["--listen", "tcp/127.0.0.1:1"],
+    "deploy": ["open_press_close", "--connect", "tcp/127.0.0.1:1"],
+    "stop": ["--connect", "tcp/127.0.0.1:1"],
+    "replay": ["{t}/absent.mcap"],
+    "film": ["{t}/absent.mcap"],
+    "certificates": ["--out", "{t}/certificates", "--host", "localhost"],
+    "doctor": ["--quick"],
+}
+"""What else a command needs; places that it could work with do not exist."""
+
+INTEGERS = ("-1", str(-(2**63)), str(2**80))
+FLOATS = ("-1", "nan", "inf", "-inf")
+HARMLESS = {("evaluate", "num-threads", str(2**80)), ("export-onnx", "num-threads", str(2**80))}
+
+
+def numeric_options(command: str) -> list[tuple[str, type]]:
+    """Options of a command that take a number."""
+    module = importlib.import_module(f"skewmi.cli.{command.replace('-', '_')}")
+    name = "".join(part.title() for part in command.split("-")) + "Command"
+    options = getattr(module, name)
+    hints = typing.get_type_hints(options)
+    found = []
+    for field in dataclasses.fields(options):
+        kinds = {hints[field.name], *typing.get_args(hints[field.name])}
+        for kind in (int, float):
+            if kind in kinds:
+                found.append((field.name.replace("_", "-"), kind))
+    return found
+
+
+CASES = [
+    (command, option, value)
+    for command in COMMANDS
+    for option, kind in numeric_options(command)
+    for value in (INTEGERS if kind is int else FLOATS)
+]
+
+
+def test_every_command_is_looked_at() -> None:
+    assert set(BEFORE) == set(COMMANDS)
+    assert {"seed", "dpi", "rate", "port", "domain", "minutes"} <= {
+        option for _, option, _ in CASES
+    }
+
+
+@pytest.mark.parametrize(("command", "option", "value"), CASES)
+def test_bad_number_is_one_line(
+    command: str,
+    option: str,
+    value: str,
+    tmp_path: Path,
+    maze_run: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = [word.format(t=tmp_path, r=maze_run) for word in BEFORE[command]]
+    assert main([command, *words, f"--{option}", value]) == 2
+    captured = capsys.readouterr()
+    lines = [line for line in captured.err.splitlines() if line.startswith(f"skewmi {command}: ")]
+    assert len(lines) == 1, captured.err
+    assert "Traceback" not in captured.err
+    assert option.replace("-", "_") in lines[0].replace("-", "_"), "names another culprit"
+
+
+def test_largest_seed_is_allowed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = ["train", "--task", "point_maze", "--run-dir", str(tmp_path / "run"), "--quiet"]
+    numbers = ["--steps", "60", "--num-envs", "3", "--seed", str(MAX_SEED)]
+    assert main([*run, *numbers]) == 0
