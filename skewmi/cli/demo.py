@@ -20,6 +20,7 @@ from rich.table import Table
 
 from skewmi import policies
 from skewmi.child import child_command
+from skewmi.cli import numbers
 from skewmi.cli.task_flags import TaskName
 from skewmi.errors import ConfigurationError
 from skewmi.outputs import check_output
@@ -85,10 +86,9 @@ class Steps:
 
 def run_demo(options: DemoCommand) -> int:
     """Run the chain. Returns 0 if every step ran, whatever the policy achieved."""
-    if not options.minutes > 0:
-        raise ConfigurationError(f"--minutes is {options.minutes}; it must be positive")
-    if options.episodes < 1:
-        raise ConfigurationError(f"--episodes is {options.episodes}; at least 1 is needed")
+    numbers.require_positive("--minutes", options.minutes)
+    numbers.require("--episodes", options.episodes, 1, numbers.MAX_EPISODES)
+    numbers.require_seed(options.seed)
     out = options.out
     run_dir = out / "runs" / time.strftime("%Y%m%d-%H%M%S")
     onnx, mcap, rrd = out / "policy.onnx", out / "episodes.mcap", out / "episodes.rrd"

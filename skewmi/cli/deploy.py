@@ -24,6 +24,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from skewmi import policies
+from skewmi.cli import numbers
 from skewmi.cli.interrupt import signals_to_handle
 from skewmi.cli.robot_flags import RobotName
 from skewmi.cli.task_flags import variation_option
@@ -87,6 +88,8 @@ class DeployCommand:
 
 def deploy_policy(options: DeployCommand) -> DeployReport:
     """Load the policy and run it; progress on standard error."""
+    numbers.require("--episodes", options.episodes, 1, numbers.MAX_EPISODES)
+    numbers.require_seed(options.seed)
     policy = OnnxPolicy.load(options.policy)
     variation = variation_option(policy.layout.task, options.variation).get("variation")
     _check_outputs(options)

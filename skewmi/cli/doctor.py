@@ -23,8 +23,7 @@ from typing import Literal
 import numpy as np
 
 from skewmi.child import child_command
-from skewmi.cli import doctor_probes
-from skewmi.errors import ConfigurationError
+from skewmi.cli import doctor_probes, numbers
 
 DEFAULT_PORT = 7447
 """Where the robot server listens by default, and Zenoh's usual port."""
@@ -60,8 +59,7 @@ class Check:
 
 def run_doctor(options: DoctorCommand) -> int:
     """Run all checks and print them. Returns 1 if one found an error, else 0."""
-    if not 0 < options.port < 65536:
-        raise ConfigurationError(f"--port is {options.port}; it must be in 1..65535")
+    numbers.require("--port", options.port, 1, 65535)
     checks = []
     for check in all_checks(options.port, quick=options.quick):
         if not options.json and sys.stderr.isatty():

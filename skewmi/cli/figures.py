@@ -15,7 +15,7 @@ from typing import Annotated, Any
 import tyro
 
 from skewmi.batch_env import BatchEnv
-from skewmi.errors import ConfigurationError
+from skewmi.cli import numbers
 from skewmi.evaluation.figures import draw_coverage, draw_curves
 from skewmi.evaluation.learning import draw_learning, read_record
 from skewmi.outputs import check_output
@@ -45,8 +45,7 @@ class FiguresCommand:
 
 def run_figures(options: FiguresCommand) -> int:
     """Draw and say where. Returns 0."""
-    if not 1 <= options.dpi <= MAX_DPI:
-        raise ConfigurationError(f"--dpi is {options.dpi}; it must be in 1..{MAX_DPI}")
+    numbers.require("--dpi", options.dpi, 1, MAX_DPI)
     config, layout = read_run_header(options.run_dir)
     out = options.run_dir if options.out is None else options.out
     curves, learning, coverage = (out / f"{name}.png" for name in PICTURES)

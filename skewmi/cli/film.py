@@ -13,6 +13,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 
+from skewmi.cli import numbers
 from skewmi.deploy.recording.reader import read_recording
 from skewmi.deploy.wire import topics
 from skewmi.errors import ConfigurationError, NotFoundError
@@ -27,8 +28,10 @@ from skewmi.evaluation.film import (
 from skewmi.outputs import check_output
 from skewmi.sim import tasks
 
-MAX_RATE = 1000.0
+MIN_RATE, MAX_RATE = 0.001, 1000.0
 """Frames per second of the episode's time; more show nothing new of a robot sampled at 250 Hz."""
+
+MAX_FRAMES, MAX_SIZE = 1000, 8192
 
 
 @dataclass(frozen=True)
@@ -61,10 +64,11 @@ class FilmCommand:
 
 def run_film(options: FilmCommand) -> int:
     """Draw. Returns 0."""
-    if not 0.0 < options.rate <= MAX_RATE:
-        raise ConfigurationError(f"--rate is {options.rate}; it must be in 0..{MAX_RATE:g}, not 0")
-    if options.frames < 1:
-        raise ConfigurationError(f"--frames is {options.frames}; at least 1 is needed")
+    numbers.require("--rate", options.rate, MIN_RATE, MAX_RATE)
+    numbers.require("--frames", options.frames, 1, MAX_FRAMES)
+    numbers.require("--episode", options.episode, 1, numbers.MAX_EPISODES)
+    numbers.require("--width", options.width, 1, MAX_SIZE)
+    numbers.require("--height", options.height, 1, MAX_SIZE)
     out = options.out if options.out is not None else options.recording.with_suffix(".gif")
     check_output(out, overwrite=options.overwrite, inputs=[options.recording, options.strip])
     if options.strip is not None:

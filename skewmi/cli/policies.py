@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from skewmi import policies
 from skewmi.batch_env import BatchEnv
+from skewmi.cli import numbers
 from skewmi.errors import ConfigurationError, NotFoundError
 from skewmi.policy_io import Policy, PolicyLayout
 
@@ -96,6 +97,18 @@ def task_options(task: str, wanted: PolicyLayout | None, given: tuple[str, ...])
     return options
 
 
+def check_numbers(num_envs: int, episodes: int, num_threads: int, seed: int) -> None:
+    """See that the numbers of an evaluation make sense; 0 environments or threads: automatic.
+
+    Raises:
+        ConfigurationError: One does not.
+    """
+    numbers.require("--num-envs", num_envs, 0, numbers.MAX_ENVS)
+    numbers.require("--episodes", episodes, 1, numbers.MAX_EPISODES)
+    numbers.require("--num-threads", num_threads, 0, numbers.MAX_THREADS)
+    numbers.require_seed(seed)
+
+
 def make_env(
     task: str, num_envs: int, episodes: int, num_threads: int, seed: int, options: dict[str, Any]
 ) -> BatchEnv:
@@ -115,10 +128,7 @@ def make_env(
     """
     from skewmi.sim import tasks
 
-    if episodes < 1:
-        raise ConfigurationError(f"--episodes is {episodes}; at least 1 is needed")
-    if num_envs < 0:
-        raise ConfigurationError(f"--num-envs is {num_envs}; use 0 (automatic) or more")
+    check_numbers(num_envs, episodes, num_threads, seed)
     n = num_envs or min(episodes, MAX_BATCH)
     return tasks.make_batch(task, n, num_threads=num_threads, seed=seed, **options)
 

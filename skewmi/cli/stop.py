@@ -11,11 +11,11 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from skewmi.cli import numbers
 from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.domain import ros_domain
 from skewmi.deploy.wire.transport import Link, TransportConfig
-from skewmi.errors import ConfigurationError
 
 MAX_TIMEOUT_S = 3600.0
 
@@ -39,10 +39,7 @@ class StopCommand:
 
 def run_stop(options: StopCommand) -> int:
     """Stop the arm. Returns 0 if it rests disarmed, 1 if not in time or in fault."""
-    if not 0.0 < options.timeout_s <= MAX_TIMEOUT_S:
-        raise ConfigurationError(
-            f"--timeout-s is {options.timeout_s}; it must be in 0..{MAX_TIMEOUT_S:g}, not 0"
-        )
+    numbers.require("--timeout-s", options.timeout_s, 0.01, MAX_TIMEOUT_S)
     config = TransportConfig.for_client(
         options.connect, domain=ros_domain(options.domain), zenoh_config=options.zenoh_config
     )

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from skewmi.cli.main import COMMANDS, main
-from skewmi.sim.tasks import MAX_SEED
+from skewmi.sim.tasks.registry import MAX_SEED
 
 BEFORE: dict[str, list[str]] = {
     "demo": ["--out", "{t}/demo"],
@@ -28,9 +28,11 @@ BEFORE: dict[str, list[str]] = {
 }
 """What else a command needs; places that it could work with do not exist."""
 
+LATER = ("train",)
+"""Its configuration checks its numbers itself."""
+
 INTEGERS = ("-1", str(-(2**63)), str(2**80))
 FLOATS = ("-1", "nan", "inf", "-inf")
-HARMLESS = {("evaluate", "num-threads", str(2**80)), ("export-onnx", "num-threads", str(2**80))}
 
 
 def numeric_options(command: str) -> list[tuple[str, type]]:
@@ -42,15 +44,15 @@ def numeric_options(command: str) -> list[tuple[str, type]]:
     found = []
     for field in dataclasses.fields(options):
         kinds = {hints[field.name], *typing.get_args(hints[field.name])}
-        for kind in (int, float):
-            if kind in kinds:
-                found.append((field.name.replace("_", "-"), kind))
+        name = field.name.replace("_", "-")
+        found += [(name, kind) for kind in (int, float) if kind in kinds]
     return found
 
 
 CASES = [
     (command, option, value)
     for command in COMMANDS
+    if command not in LATER
     for option, kind in numeric_options(command)
     for value in (INTEGERS if kind is int else FLOATS)
 ]
@@ -58,9 +60,8 @@ CASES = [
 
 def test_every_command_is_looked_at() -> None:
     assert set(BEFORE) == set(COMMANDS)
-    assert {"seed", "dpi", "rate", "port", "domain", "minutes"} <= {
-        option for _, option, _ in CASES
-    }
+    looked_at = {option for _, option, _ in CASES}
+    assert {"seed", "dpi", "rate", "port", "domain", "minutes"} <= looked_at
 
 
 @pytest.mark.parametrize(("command", "option", "value"), CASES)
