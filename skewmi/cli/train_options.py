@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from skewmi.cli import numbers
 from skewmi.cli.policies import task_options
 from skewmi.cli.task_flags import OptionalTaskName, variation_option
 from skewmi.errors import ConfigurationError
@@ -18,7 +20,10 @@ from skewmi.train.config import MetricsConfig, RolloutConfig, TrainConfig
 from skewmi.train.exploration.protocol import ExplorationConfig
 from skewmi.train.learner import LearnerConfig
 from skewmi.train.presets import DEFAULT, default_preset, preset
-from skewmi.train.registry import EXPLORATIONS, LEARNERS, default_config
+from skewmi.train.registry import EXPLORATIONS, LEARNERS, default_config, entry_of
+from skewmi.train.run import started_from
+
+MAX_STEPS = 10**12
 
 _HELP = "Another {} than the preset's, with its own default numbers: {}."
 
@@ -31,8 +36,9 @@ class Origin:
     """Directory of the run; created."""
     task: OptionalTaskName = None
     """Task to learn. Not needed with --resume."""
-    preset: str = DEFAULT
-    """Where all numbers start from: `improved` is ours, `paper` the publication's."""
+    preset: str | None = None
+    """Where all numbers start from: `improved` is ours and the default, `paper` the
+    publication's."""
     learner: Annotated[
         str | None, tyro.conf.arg(help=_HELP.format("learner", ", ".join(LEARNERS)))
     ] = None
@@ -64,8 +70,8 @@ class Numbers:
 class TrainCommand(Origin):
     """Options of `skewmi train`."""
 
-    seed: int = 0
-    """Of networks, sampling and environment."""
+    seed: int | None = None
+    """Of networks, sampling and environment; default: 0."""
     steps: int | None = None
     """Environment steps in total; default: the preset's."""
     minutes: float | None = None
@@ -81,10 +87,10 @@ class TrainCommand(Origin):
     """How robot and scene differ from the nominal ones: a variation file (YAML), or the name of
     one that comes with the task, as `randomised`. What it says is saved with the run, and --resume
     keeps it."""
-    threads: int = 1
-    """Threads of the tensor library and of the simulation."""
-    device: Literal["cpu", "cuda"] = "cpu"
-    """Where the networks live."""
+    threads: int | None = None
+    """Threads of the tensor library and of the simulation; default: 1."""
+    device: Literal["cpu", "cuda"] | None = None
+    """Where the networks live; default: cpu."""
     json: bool = False
     """Print one JSON document on standard output at the end."""
     quiet: bool = False
@@ -121,7 +127,9 @@ def origin_config(origin: Origin) -> TrainConfig:
     if origin.start_from is not None:
         return read_run_header(origin.start_from)[0]
     config = (
-        default_preset("") if origin.task is None else starting_config(origin.task, origin.preset)
+        default_preset("")
+        if origin.task is None
+        else starting_config(origin.task, origin.preset or DEFAULT)
     )
     if origin.learner is not None:
         config = replace(config, learner=default_config(LEARNERS, origin.learner))
@@ -143,8 +151,7 @@ def default_options(arguments: Sequence[str]) -> TrainCommand:
         return_unknown_args=True,
         add_help=False,
     )
-    numbers = numbers_of(origin_config(origin))
-    return TrainCommand(run_dir=tyro.MISSING, numbers=numbers)
+    return TrainCommand(run_dir=tyro.MISSING, numbers=numbers_of(origin_config(origin)))
 
 
 def changed_flags(numbers: Numbers, config: TrainConfig) -> list[str]:
@@ -161,15 +168,40 @@ def changed_flags(numbers: Numbers, config: TrainConfig) -> list[str]:
     return flags
 
 
-def _refuse_changes(options: TrainCommand, config: TrainConfig, why: str) -> None:
-    """What a run began with cannot change."""
+def _refuse_changes(
+    options: TrainCommand, config: TrainConfig, why: str, **more: tuple[object, object]
+) -> None:
+    """What a run began with cannot change; to say the same again is no change.
+
+    Args:
+        options: What is asked for; None was not said.
+        config: Of the run.
+        why: Ends the message.
+        more: Name of an option -> what it says (None: nothing), and what the run has.
+
+    Raises:
+        ConfigurationError: An option says something else than the run has; both are told.
+    """
+    compared = {
+        "task": (options.task, config.task),
+        "preset": (options.preset, config.preset),
+        "learner": (options.learner, entry_of(config.learner)[0]),
+        "exploration": (options.exploration, entry_of(config.exploration)[0]),
+        "num-envs": (options.num_envs, config.rollout.num_envs),
+        **{name.replace("_", "-"): pair for name, pair in more.items()},
+    }
     flags = changed_flags(options.numbers, config)
-    if options.num_envs not in (None, config.rollout.num_envs):
-        flags.append("--num-envs")
-    if options.option:
-        flags.append("--option")
-    if options.task not in (None, config.task):
-        flags.append("--task")
+    flags += [
+        f"--{name} {given} (the run has {has})"
+        for name, (given, has) in compared.items()
+        if given is not None and given != has
+    ]
+    recorded = dict(config.task_options)
+    flags += [
+        f"--option {name}={json.dumps(value)} (the run has {json.dumps(recorded.get(name))})"
+        for name, value in task_options(config.task, None, options.option).items()
+        if recorded.get(name) != value
+    ]
     if flags:
         raise ConfigurationError(f"leave out {', '.join(flags)}: {why}")
 
@@ -179,14 +211,14 @@ def begun_from(options: TrainCommand, config: TrainConfig) -> TrainConfig:
     assert options.start_from is not None
     why = f"--start-from takes task and numbers from the run in {options.start_from}"
     _refuse_changes(options, config, why)
-    step = read_checkpoint(options.start_from).state["step"]
+    origin = started_from(options.start_from, read_checkpoint(options.start_from))
     nominal = tuple((k, v) for k, v in config.task_options if k != "variation")
     return replace(
         config,
-        started_from=f"{options.start_from.name}, step {step}",
-        seed=options.seed,
-        device=options.device,
-        threads=options.threads,
+        started_from=origin,
+        seed=options.seed or 0,
+        device=options.device or "cpu",
+        threads=1 if options.threads is None else options.threads,
         task_options=nominal + tuple(variation_option(config.task, options.variation).items()),
     )
 
@@ -194,7 +226,19 @@ def begun_from(options: TrainCommand, config: TrainConfig) -> TrainConfig:
 def resumed(options: TrainCommand, config: TrainConfig) -> TrainConfig:
     """The configuration of a run that goes on."""
     why = f"the run in {options.run_dir} goes on with what it began with; or use another directory"
-    _refuse_changes(options, config, why)
+    start_from = options.start_from
+    _refuse_changes(
+        options,
+        config,
+        why,
+        seed=(options.seed, config.seed),
+        threads=(options.threads, config.threads),
+        device=(options.device, config.device),
+        start_from=(
+            None if start_from is None else start_from.resolve().name,
+            config.started_from.rpartition(", step ")[0] or "none",
+        ),
+    )
     recorded = dict(config.task_options).get("variation")
     given = variation_option(config.task, options.variation).get("variation")
     if options.variation is not None and given != recorded:
@@ -207,7 +251,7 @@ def resumed(options: TrainCommand, config: TrainConfig) -> TrainConfig:
 
 def begun(options: TrainCommand, config: TrainConfig) -> TrainConfig:
     """The configuration of a run from scratch."""
-    numbers, rollout = options.numbers, options.numbers.rollout
+    rollout = options.numbers.rollout
     if options.num_envs is not None:
         evaluation = min(rollout.evaluation_envs, max(options.num_envs - 1, 0))
         rollout = replace(rollout, num_envs=options.num_envs, evaluation_envs=evaluation)
@@ -220,15 +264,24 @@ def begun(options: TrainCommand, config: TrainConfig) -> TrainConfig:
     varied = variation_option(config.task, options.variation)
     return replace(
         config,
-        seed=options.seed,
-        device=options.device,
-        threads=options.threads,
+        seed=options.seed or 0,
+        device=options.device or "cpu",
+        threads=1 if options.threads is None else options.threads,
         task_options=tuple({**dict(config.task_options), **given, **varied}.items()),
-        learner=numbers.learner,
-        exploration=numbers.exploration,
+        learner=options.numbers.learner,
+        exploration=options.numbers.exploration,
         rollout=rollout,
-        metrics=numbers.metrics,
+        metrics=options.numbers.metrics,
     )
+
+
+def _check_numbers(options: TrainCommand) -> None:
+    if options.seed is not None:
+        numbers.require_seed(options.seed)
+    numbers.require("--steps", options.steps, 1, MAX_STEPS)
+    numbers.require_positive("--minutes", options.minutes)
+    numbers.require("--num-envs", options.num_envs, 1, numbers.MAX_ENVS)
+    numbers.require("--threads", options.threads, 1, numbers.MAX_THREADS)
 
 
 def resolve(options: TrainCommand) -> TrainConfig:
@@ -239,6 +292,7 @@ def resolve(options: TrainCommand) -> TrainConfig:
         ConfigurationError: A value is not allowed, or would change a run that goes on.
         CheckpointError: --resume without --task, and there is no run.
     """
+    _check_numbers(options)
     config = origin_config(options)
     if options.resume and (options.run_dir / "config.json").exists():
         config = resumed(options, config)

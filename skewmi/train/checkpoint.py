@@ -16,12 +16,18 @@ from pathlib import Path
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 
-from skewmi.errors import CheckpointError, ConfigurationError, LayoutMismatchError
+from skewmi.errors import (
+    CheckpointError,
+    ConfigurationError,
+    LayoutMismatchError,
+    OutputError,
+)
+from skewmi.outputs import make_folder, sync, writing
 from skewmi.policy_io import PolicyLayout
 from skewmi.train.blocks import write_blocks
 from skewmi.train.config import TrainConfig
 from skewmi.train.config_json import from_document, to_document
-from skewmi.train.files import sync, write_text
+from skewmi.train.files import write_text
 from skewmi.train.replay import Replay
 from skewmi.train.state import State, merge, split
 
@@ -55,7 +61,7 @@ def write_run_header(run_dir: Path, config: TrainConfig, layout: PolicyLayout) -
         text = json.dumps(content, indent=1, allow_nan=False)
     except ValueError as error:
         raise ConfigurationError(f"the configuration has a number without end: {error}") from error
-    run_dir.mkdir(parents=True, exist_ok=True)
+    make_folder(run_dir)
     write_text(run_dir / "config.json", text + "\n")
 
 
@@ -104,33 +110,46 @@ def write_checkpoint(
 
     Returns:
         Where it is.
+
+    Raises:
+        OutputError: It cannot be written; the run can be resumed from the one before.
     """
     root = run_dir / "checkpoints"
-    root.mkdir(parents=True, exist_ok=True)
     target = root / (f"{_BEST}{step:010d}" if best else f"{step:010d}")
     temporary = root / f".writing-{target.name}"
     shutil.rmtree(temporary, ignore_errors=True)
-    temporary.mkdir()
-    tensors, rest = split(state)
-    save_file(
-        {k: v.detach().cpu().clone().contiguous() for k, v in tensors.items()},
-        temporary / "weights.safetensors",
-    )
-    (temporary / "state.json").write_text(json.dumps(rest))
-    if history is not None:
-        earlier = [path for path in _checkpoints(run_dir, best=False) if path != target]
-        write_blocks(history, temporary / "replay", earlier[-1] / "replay" if earlier else None)
-        sync(temporary / "replay")
-    for name in ("weights.safetensors", "state.json"):
-        sync(temporary / name)
-    sync(temporary)
-    if target.exists():
-        shutil.rmtree(target)
-    os.replace(temporary, target)
-    sync(root)
+    earlier = [path for path in _checkpoints(run_dir, best=False) if path != target]
+    try:
+        with writing(target):
+            _write_parts(temporary, state, history, earlier[-1] if earlier else None)
+            if target.exists():
+                shutil.rmtree(target)
+            os.replace(temporary, target)
+            sync(root)
+    except SafetensorError as error:
+        raise OutputError(f"cannot write {target}: {error}") from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
     for old in _checkpoints(run_dir, best=best)[: -1 if best else -KEPT]:
         shutil.rmtree(old, ignore_errors=True)
     return target
+
+
+def _write_parts(folder: Path, state: State, history: Replay | None, earlier: Path | None) -> None:
+    """Write a checkpoint's files into a new folder, and wait until they are on the disk."""
+    folder.mkdir(parents=True)
+    tensors, rest = split(state)
+    save_file(
+        {k: v.detach().cpu().clone().contiguous() for k, v in tensors.items()},
+        folder / "weights.safetensors",
+    )
+    (folder / "state.json").write_text(json.dumps(rest))
+    if history is not None:
+        write_blocks(history, folder / "replay", None if earlier is None else earlier / "replay")
+        sync(folder / "replay")
+    for name in ("weights.safetensors", "state.json"):
+        sync(folder / name)
+    sync(folder)
 
 
 def _checkpoints(run_dir: Path, *, best: bool) -> list[Path]:

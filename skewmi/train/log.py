@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import csv
+import functools
 import math
 import sys
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from skewmi.outputs import writing
 from skewmi.train.files import write_text
 
 
@@ -35,27 +39,69 @@ class MetricsTable:
         lines = [",".join(self.columns)]
         lines += [",".join(row.get(name, "") for name in self.columns) for row in kept]
         write_text(self.path, "\n".join(lines) + "\n")
-        try:
-            from torch.utils.tensorboard import SummaryWriter
-        except ImportError:  # TensorBoard is optional; the table has everything
-            self._writer = None
-        else:
-            purge = None if resume_step is None else resume_step + 1
-            self._writer = SummaryWriter(str(run_dir / "tb"), purge_step=purge)
+        purge = None if resume_step is None else resume_step + 1
+        self._scalars = _Scalars(run_dir / "tb", purge)
 
     def write(self, row: dict[str, float]) -> None:
-        """Append one row; columns without a value stay empty."""
+        """Append one row; columns without a value stay empty.
+
+        Raises:
+            OutputError: It cannot be written.
+        """
         cells = [_cell(row[name]) if name in row else "" for name in self.columns]
-        with self.path.open("a") as file:
+        with writing(self.path), self.path.open("a") as file:
             file.write(",".join(cells) + "\n")
-        if self._writer is not None:
-            for name, value in row.items():
-                if name != "step" and math.isfinite(value):
-                    self._writer.add_scalar(name, value, int(row["step"]))
+        self._scalars.write(row)
 
     def close(self) -> None:
+        self._scalars.close()
+
+
+class _Scalars:
+    """TensorBoard's event file: wanted, never needed, since the table has everything.
+
+    However TensorBoard fails (it is missing, another version, its disk is full), it is told once
+    and left alone; training goes on.
+
+    Args:
+        folder: Where.
+        purge_step: Events from this step on are dropped; None keeps all.
+    """
+
+    def __init__(self, folder: Path, purge_step: int | None) -> None:
+        self._writer: Any = None
+        try:
+            from torch.utils.tensorboard import SummaryWriter
+        except ImportError:  # it is optional
+            return
+        except Exception as error:
+            self._give_up(error)
+            return
+        self._try(lambda: SummaryWriter(str(folder), purge_step=purge_step), keep=True)
+
+    def write(self, row: dict[str, float]) -> None:
+        """Add a point to every curve."""
+        for name, value in row.items():
+            if name != "step" and math.isfinite(value) and self._writer is not None:
+                self._try(functools.partial(self._writer.add_scalar, name, value, int(row["step"])))
+
+    def close(self) -> None:
+        """Write what is left."""
         if self._writer is not None:
-            self._writer.close()
+            self._try(self._writer.close)
+
+    def _try(self, action: Callable[[], Any], *, keep: bool = False) -> None:
+        try:
+            result = action()
+        except Exception as error:  # whatever it raises: it must not end a training
+            self._give_up(error)
+        else:
+            self._writer = result if keep else self._writer
+
+    def _give_up(self, error: Exception) -> None:
+        self._writer = None
+        words = " ".join(str(error).split()) or type(error).__name__
+        warnings.warn(f"no more TensorBoard events, the table goes on: {words}", stacklevel=2)
 
 
 def _cell(value: float) -> str:

@@ -12,6 +12,7 @@ from skewmi.batch_env import BatchEnv
 from skewmi.errors import CheckpointError, ConfigurationError
 from skewmi.policy_io import require_same_layout
 from skewmi.train.checkpoint import (
+    Checkpoint,
     read_checkpoint,
     read_run_header,
     write_checkpoint,
@@ -19,6 +20,7 @@ from skewmi.train.checkpoint import (
 )
 from skewmi.train.checks import require
 from skewmi.train.config import TrainConfig
+from skewmi.train.lock import only_training
 from skewmi.train.log import MetricsTable, ProgressBar
 from skewmi.train.memory import keep_freed_memory
 from skewmi.train.runner import Runner
@@ -101,6 +103,21 @@ def run_train(
     started = time.monotonic()
     torch.set_num_threads(config.threads)
     keep_freed_memory()
+    with only_training(run_dir):
+        return _train(config, env, run_dir, resume, start_from, progress=progress, started=started)
+
+
+def _train(
+    config: TrainConfig,
+    env: BatchEnv,
+    run_dir: Path,
+    resume: bool,
+    start_from: Path | None,
+    *,
+    progress: bool,
+    started: float,
+) -> TrainResult:
+    """`run_train` in a directory that is ours alone."""
     runner, resumed_at = _open(config, env, run_dir, resume, start_from)
     before = earlier_seconds(run_dir) if resumed_at is not None else 0.0
     own = (*runner.learner.metrics, *runner.exploration.metrics)
@@ -194,11 +211,6 @@ def _open(
     config: TrainConfig, env: BatchEnv, run_dir: Path, resume: bool, start_from: Path | None
 ) -> tuple[Runner, int | None]:
     """The runner, and the step of the checkpoint it continues from."""
-    origin = None
-    if start_from is not None and not (run_dir / "config.json").exists():
-        _, layout = read_run_header(start_from)
-        require_same_layout(env.layout, layout, f"the run in {start_from}")
-        origin = read_checkpoint(start_from)
     exists = (run_dir / "config.json").exists()
     if exists and not resume:
         raise ConfigurationError(
@@ -208,12 +220,12 @@ def _open(
         earlier, layout = read_run_header(run_dir)
         require_same_layout(env.layout, layout, f"the run in {run_dir}")
         _require_same_config(config, earlier, run_dir)
+    has_checkpoint = exists and any((run_dir / "checkpoints").glob("[0-9]*"))
+    origin = None if has_checkpoint else _origin(config, env, run_dir, start_from)
     runner = Runner(config, env)  # before anything is written: it refuses what does not fit
     write_run_header(run_dir, config, env.layout)
     if origin is not None:
         runner.begin_with(origin)
-        return runner, None
-    has_checkpoint = exists and any((run_dir / "checkpoints").glob("[0-9]*"))
     if not has_checkpoint:
         return runner, (0 if exists else None)
     checkpoint = read_checkpoint(run_dir)
@@ -221,6 +233,34 @@ def _open(
         raise CheckpointError(f"checkpoint {checkpoint.path} was made for another layout")
     runner.load(checkpoint)
     return runner, runner.steps
+
+
+def _origin(
+    config: TrainConfig, env: BatchEnv, run_dir: Path, start_from: Path | None
+) -> Checkpoint | None:
+    """The checkpoint of another run that one without any of its own begins with."""
+    if start_from is None:
+        require(
+            not config.started_from,
+            f"the run in {run_dir} began with {config.started_from}, and ended before its first "
+            "checkpoint: give the same --start-from again, or begin in another directory",
+        )
+        return None
+    _, layout = read_run_header(start_from)
+    require_same_layout(env.layout, layout, f"the run in {start_from}")
+    origin = read_checkpoint(start_from)
+    now = started_from(start_from, origin)
+    require(
+        config.started_from in ("", now),
+        f"the run in {run_dir} began with {config.started_from}, and {start_from} is now at {now}: "
+        "begin in another directory",
+    )
+    return origin
+
+
+def started_from(run_dir: Path, checkpoint: Checkpoint) -> str:
+    """What a configuration says of the run that it began with."""
+    return f"{run_dir.resolve().name}, step {checkpoint.state['step']}"
 
 
 def _require_same_config(config: TrainConfig, earlier: TrainConfig, run_dir: Path) -> None:

@@ -28,9 +28,6 @@ BEFORE: dict[str, list[str]] = {
 }
 """What else a command needs; places that it could work with do not exist."""
 
-LATER = ("train",)
-"""Its configuration checks its numbers itself."""
-
 INTEGERS = ("-1", str(-(2**63)), str(2**80))
 FLOATS = ("-1", "nan", "inf", "-inf")
 
@@ -52,7 +49,6 @@ def numeric_options(command: str) -> list[tuple[str, type]]:
 CASES = [
     (command, option, value)
     for command in COMMANDS
-    if command not in LATER
     for option, kind in numeric_options(command)
     for value in (INTEGERS if kind is int else FLOATS)
 ]

@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import json
+import os
+import shutil
+import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
+from tiny_disk import tiny_disk
 
 from skewmi.cli.main import main
 from skewmi.cli.train_options import default_options
+from skewmi.errors import ConfigurationError
 from skewmi.train.checkpoint import read_run_header
 from skewmi.train.history import visited_states
+from skewmi.train.lock import only_training
 from skewmi.train.log import read_metrics
 from skewmi.train.presets import preset
+from skewmi.train.runner import Runner
 from skewmi.train.sac.config import SacConfig
 
 SHORT = ["--task", "point_maze", "--num-envs", "2", "--steps", "800", "--quiet"]
@@ -103,7 +112,7 @@ def test_every_number_of_the_preset_has_a_flag(tmp_path, capsys) -> None:
     # What a run began with stays, and going on needs no flag of it.
     again = ["train", "--run-dir", str(folder), "--resume", "--quiet", "--steps", "1200"]
     assert main([*again, "--learner.n-step", "3", "--num-envs", "4"]) == 2
-    assert "leave out --learner.n-step, --num-envs" in capsys.readouterr().err
+    assert "leave out --learner.n-step, --num-envs 3 (the run has 2)" in capsys.readouterr().err
     assert main([*again, "--learner.n-step", "1", "--num-envs", "2"]) == 0
     assert read_run_header(folder)[0] == replace(config, total_steps=1200)
 
@@ -182,3 +191,99 @@ def test_what_a_run_began_with_cannot_be_changed(run_dir: Path, tmp_path, capsys
     assert main([*arguments[:-1], str(tmp_path / "none"), "--quiet"]) == 2
     assert "none" in capsys.readouterr().err
     assert not (tmp_path / "x").exists()
+
+
+def resumes(run_dir: Path, *options: str) -> int:
+    arguments = ["train", "--run-dir", str(run_dir), "--resume", "--steps", "800", "--quiet"]
+    return main([*arguments, *options])
+
+
+@pytest.mark.parametrize(
+    ("flag", "other", "own"),
+    [
+        ("--task", "open_press_close", "point_maze"),
+        ("--preset", "paper", "improved"),
+        ("--seed", "7", "5"),
+        ("--seed", "0", "5"),
+        ("--num-envs", "25", "2"),
+        ("--threads", "2", "1"),
+        ("--device", "cuda", "cpu"),
+        ("--start-from", "elsewhere", "none"),
+    ],
+)
+def test_resume_refuses_what_the_run_did_not_begin_with(
+    flag: str, other: str, own: str, run_dir: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = (run_dir / "config.json").read_bytes()
+    assert resumes(run_dir, flag, other) == 2
+    assert f"{flag} {other} (the run has {own})" in capsys.readouterr().err
+    assert (run_dir / "config.json").read_bytes() == before
+
+
+def test_the_command_line_that_started_a_run_resumes_it(
+    run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    numbers = ["--learner.n-step", "2", "--option", "start_noise=0.1", "--learner", "sac"]
+    more = ["--seed", "3", "--threads", "1", "--device", "cpu", "--preset", "improved"]
+    line = ["train", "--run-dir", str(tmp_path / "run"), *SHORT, *numbers, *more]
+    assert main(line) == 0
+    assert main([*line, "--resume"]) == 0
+    assert main([*line, "--resume", "--option", "start_noise=0.2"]) == 2
+    assert "the run has 0.1" in capsys.readouterr().err
+    from_it = ["train", "--run-dir", str(tmp_path / "on"), "--start-from", str(tmp_path / "run")]
+    assert main([*from_it, "--steps", "1200", "--quiet", "--seed", "4"]) == 0
+    assert main([*from_it, "--steps", "1600", "--quiet", "--seed", "4", "--resume"]) == 0
+
+
+def test_a_run_from_another_that_died_at_once_begins_with_it_again(
+    run_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    other, folder = tmp_path / "other", tmp_path / "run"
+    shutil.copytree(run_dir, other)
+    line = ["train", "--run-dir", str(folder), "--start-from", str(other), "--quiet", "--resume"]
+    with monkeypatch.context() as patched:
+        patched.setattr(Runner, "iterate", lambda self: (_ for _ in ()).throw(KeyboardInterrupt))
+        assert main([*line, "--steps", "1600"]) == 130
+    assert "other" in (folder / "config.json").read_text()
+    assert main(["train", "--run-dir", str(folder), "--resume", "--steps", "1600"]) == 2
+    assert "--start-from" in capsys.readouterr().err
+    assert main([*line, "--steps", "1600"]) == 0
+    assert read_metrics(folder)["step"][0] > read_metrics(other)["step"][-1]
+
+
+def test_two_trainings_do_not_share_a_directory(
+    run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "run"
+    shutil.copytree(run_dir, folder)
+    with only_training(folder):
+        assert resumes(folder) == 2
+        assert str(os.getpid()) in capsys.readouterr().err
+    assert resumes(folder) == 0
+
+
+def test_a_refused_start_leaves_nothing(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    with pytest.raises(ConfigurationError), only_training(folder):
+        raise ConfigurationError("no")
+    assert not folder.exists()
+
+
+def test_full_disk_and_broken_tensorboard(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with tiny_disk(tmp_path / "disk", "300k") as disk:
+        line = ["train", "--run-dir", str(disk / "run"), *SHORT]
+        assert main(line) == 2
+        error = capsys.readouterr().err
+        assert "No space left" in error or "StorageFull" in error
+        assert str(disk / "run") in error
+        assert "Traceback" not in error
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", SimpleNamespace(SummaryWriter=1))
+    with pytest.warns(UserWarning, match="TensorBoard"):
+        assert main(["train", "--run-dir", str(tmp_path / "run"), *SHORT]) == 0
+
+
+def test_run_directory_that_cannot_be_made(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["train", "--run-dir", "/proc/none/a", *SHORT]) == 2
+    assert "cannot write /proc/none/a" in capsys.readouterr().err
