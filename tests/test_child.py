@@ -13,7 +13,7 @@ import pytest
 import skewmi
 from skewmi.child import child_command, told, wait_for_line
 from skewmi.deploy.recording.recorder import Recorder
-from skewmi.deploy.robot.process import simulated_robot_process
+from skewmi.deploy.robot.process import spawn_robot
 from skewmi.deploy.wire.transport import Link, TransportConfig
 
 SHADOWS = ("mcap", "zenoh", "queue", "numpy", "onnxruntime", "rerun", "mujoco", "skewmi")
@@ -51,7 +51,7 @@ def test_child_imports_from_the_users_pythonpath(
 
 
 def test_robot_and_recorder_start_in_a_folder_of_scripts(folder_of_scripts: Path) -> None:
-    with simulated_robot_process("open_press_close", "lab", lock_step=True) as locator:
+    with spawn_robot("sim", "open_press_close", "lab", lock_step=True) as locator:
         config = TransportConfig.for_client(locator, lock_step=True)
         with Link.open(config, "watcher") as link:
             link.wait_for_robot(5.0)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from skewmi.cli.main import main
-from skewmi.deploy.robot.process import simulated_robot_process
+from skewmi.deploy.robot.process import spawn_robot
 from skewmi.deploy.wire.domain import MAX_DOMAIN, VARIABLE, ros_domain
 from skewmi.deploy.wire.transport import Link, TransportConfig
 from skewmi.errors import ConfigurationError, TransportError
@@ -63,7 +63,7 @@ def test_certificates_open_the_domain_up(
 
 
 def test_robot_answers_in_its_domain_alone() -> None:
-    with simulated_robot_process("open_press_close", "lab", lock_step=True, domain=7) as locator:
+    with spawn_robot("sim", "open_press_close", "lab", lock_step=True, domain=7) as locator:
         with Link.open(TransportConfig.for_client(locator, domain=7), "inside") as link:
             assert link.wait_for_robot(10.0)["state"] == "disarmed"
         with (
