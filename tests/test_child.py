@@ -55,7 +55,7 @@ def test_robot_and_recorder_start_in_a_folder_of_scripts(folder_of_scripts: Path
         config = TransportConfig.for_client(locator, lock_step=True)
         with Link.open(config, "watcher") as link:
             link.wait_for_robot(5.0)
-            recorder = Recorder(folder_of_scripts / "r.mcap", config)
+            recorder = Recorder.start(folder_of_scripts / "r.mcap", config)
             assert recorder.close().path.stat().st_size > 0
 
 

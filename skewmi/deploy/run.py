@@ -144,7 +144,7 @@ def _recording(
     if options.record is None:
         yield
         return
-    recorder = Recorder(options.record, client, metadata, overwrite=options.overwrite)
+    recorder = Recorder.start(options.record, client, metadata, overwrite=options.overwrite)
     try:
         yield
     except BaseException:
@@ -173,7 +173,7 @@ def _live_view(
         yield
         return
     title = options.policy_name or report.task
-    with LiveView(options.live, client, metadata, title) as view:
+    with LiveView.start(options.live, client, metadata, title) as view:
         yield
         report.notes += view.close()
     if options.live.out is not None:

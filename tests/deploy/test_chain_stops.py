@@ -86,7 +86,7 @@ run_deploy(ScriptedOpenPressClose(make_layout()), DeployOptions(connect=sys.argv
 
 def test_killed_session_leaves_the_arm_at_rest_within_limits(robot: str, tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    with Recorder(path, TransportConfig.for_client(robot)) as recorder:
+    with Recorder.start(path, TransportConfig.for_client(robot)) as recorder:
         session = subprocess.Popen(
             [sys.executable, "-c", DOOMED, robot, str(SUPPORT)], stdout=subprocess.PIPE
         )

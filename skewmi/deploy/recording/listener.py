@@ -48,20 +48,27 @@ class Counts:
 
 
 class Input:
-    """What our owner says, read by a thread of its own.
+    """What our owner says, read by a thread of its own; `open` makes one.
 
     Args:
+        task: The owner's first line.
         on_end: Called in that thread when the owner has closed our standard input or died.
     """
 
-    def __init__(self, on_end: Callable[[], None] | None = None) -> None:
-        # Ctrl-C is for the owner, who closes our standard input when the arm rests.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    def __init__(self, task: dict[str, Any], on_end: Callable[[], None] | None) -> None:
+        self.task = task
         self._on_end = on_end
-        self.task: dict[str, Any] = json.loads(sys.stdin.readline())
         self.lines: SimpleQueue[str | None] = SimpleQueue()
         """Further lines; None at the end."""
-        threading.Thread(target=self._read, daemon=True).start()
+
+    @staticmethod
+    def open(on_end: Callable[[], None] | None = None) -> Input:
+        """Wait for the owner's first line, and go on reading."""
+        # Ctrl-C is for the owner, who closes our standard input when the arm rests.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        source = Input(json.loads(sys.stdin.readline()), on_end)
+        threading.Thread(target=source._read, daemon=True).start()
+        return source
 
     def transport(self) -> TransportConfig:
         """How to reach the robot server, from the task."""

@@ -13,7 +13,7 @@ import subprocess
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from tempfile import TemporaryFile
-from typing import Any
+from typing import IO, Any, Self
 
 from skewmi.child import child_command, told, wait_for_line
 from skewmi.deploy.wire.transport import TransportConfig
@@ -26,38 +26,51 @@ class ListenerStartError(Exception):
 
 
 class ListenerProcess:
-    """A child process that runs one of our listeners.
+    """A child process that runs one of our listeners; `start` makes one.
 
     Args:
-        module: What to run, as `python -m`.
-        config: How to reach the robot server; only its locators, file and domain matter.
-        task: What the listener is told first.
-
-    Raises:
-        ListenerStartError: It ended, or was not ready in time.
+        process: The child.
+        words: Where its standard error goes.
     """
 
-    def __init__(self, module: str, config: TransportConfig, task: Mapping[str, Any]) -> None:
+    def __init__(self, process: subprocess.Popen[bytes], words: IO[bytes]) -> None:
+        self.process = process
+        self._words = words
+
+    @classmethod
+    def start(cls, module: str, config: TransportConfig, task: Mapping[str, Any]) -> Self:
+        """Start a listener; returns once everything is subscribed to.
+
+        Args:
+            module: What to run, as `python -m`.
+            config: How to reach the robot server; only its locators, file and domain matter.
+            task: What the listener is told first.
+
+        Raises:
+            ListenerStartError: It ended, or was not ready in time.
+        """
         # A file, because nobody reads while it runs: a full pipe would block it.
-        self._words = TemporaryFile()  # noqa: SIM115 (lives as long as we do)
-        self.process = subprocess.Popen(
+        words = TemporaryFile()  # noqa: SIM115 (lives as long as the listener)
+        process = subprocess.Popen(
             child_command("-m", module),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=self._words,
+            stderr=words,
             # A session of its own, so that Ctrl-C reaches the session only.
             start_new_session=True,
         )
+        listener = cls(process, words)
         # A listener connects even if its owner listens.
         client = replace(config, connect=config.connect or config.listen, listen=(), server=False)
-        self.write({**task, "config": _config_json(client)})
-        assert self.process.stdout is not None
-        if wait_for_line(self.process.stdout, _is_ready, _START_TIMEOUT_S) is None:
+        listener.write({**task, "config": _config_json(client)})
+        assert process.stdout is not None
+        if wait_for_line(process.stdout, _is_ready, _START_TIMEOUT_S) is None:
             # If it has said why, it is about to end; otherwise it hangs.
             with contextlib.suppress(subprocess.TimeoutExpired):
-                self.process.wait(0.5)
-            self.process.kill()
-            raise ListenerStartError(self.reason())
+                process.wait(0.5)
+            process.kill()
+            raise ListenerStartError(listener.reason())
+        return listener
 
     def write(self, content: object) -> None:
         """Send a line; not for the hot loop. Nothing happens if the process is gone."""

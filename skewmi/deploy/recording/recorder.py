@@ -39,16 +39,26 @@ class RecordingSummary:
 
 
 class Recorder:
-    """Records all topics of a link; a context manager that finishes the file."""
+    """Records all topics of a link; a context manager that finishes the file; `start` makes one.
 
-    def __init__(
-        self,
+    Args:
+        path: The file that is written.
+        listener: Writes it.
+    """
+
+    def __init__(self, path: Path, listener: ListenerProcess) -> None:
+        self.path = path
+        self._listener = listener
+        self._summary: RecordingSummary | None = None
+
+    @staticmethod
+    def start(
         path: Path,
         config: TransportConfig,
         metadata: Mapping[str, str] | None = None,
         *,
         overwrite: bool = False,
-    ) -> None:
+    ) -> Recorder:
         """Start recording; returns once everything is subscribed to.
 
         Args:
@@ -65,16 +75,16 @@ class Recorder:
         check_output(path, overwrite=overwrite)
         with writing(path):
             path.unlink(missing_ok=True)
-        self.path = path
-        self._summary: RecordingSummary | None = None
         try:
-            self._listener = ListenerProcess(
+            listener = ListenerProcess.start(
                 "skewmi.deploy.recording.recorder_process", config, {"path": str(path)}
             )
         except ListenerStartError as error:
             raise TransportError(f"cannot record to {path}: {error}") from error
+        recorder = Recorder(path, listener)
         if metadata:
-            self.add_metadata(metadata)
+            recorder.add_metadata(metadata)
+        return recorder
 
     def add_metadata(self, metadata: Mapping[str, str]) -> None:
         """Add to the recording's metadata, such as the outcome; not for the hot loop."""

@@ -47,7 +47,7 @@ def _record(source: Input) -> Counts:
 
 def main() -> int:
     """Record until standard input ends. Returns the exit code; failures go to stderr."""
-    source = Input()
+    source = Input.open()
     try:
         counts = _record(source)
     except (SkewmiError, OSError) as error:

@@ -34,6 +34,27 @@ def blueprint(title: str, *, policy: bool, scene: tuple[str, ...], live: bool) -
         if live
         else None
     )
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(
+                _space(title, lately),
+                rrb.TextLogView(origin="/events", name="state machines"),
+                row_shares=[3, 1],
+            ),
+            rrb.Tabs(*_tabs(policy, scene, lately), name="curves", active_tab=0),
+            column_shares=[5, 4],
+        ),
+        rrb.TimePanel(
+            timeline=TIMELINE, state="collapsed", play_state="following" if live else None
+        ),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.BlueprintPanel(state="hidden"),
+        auto_views=False,
+    )
+
+
+def _tabs(policy: bool, scene: tuple[str, ...], lately: Any) -> list[Any]:
+    """Curves of joints and hand, and of policy and scene where there are any."""
 
     def curves(origin: str, name: str, *, legend: bool = True) -> Any:
         return rrb.TimeSeriesView(
@@ -72,23 +93,7 @@ def blueprint(title: str, *, policy: bool, scene: tuple[str, ...], live: bool) -
         tabs.append(
             rrb.Vertical(*(curves(f"/scene_joints/{name}", name) for name in scene), name="scene")
         )
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Vertical(
-                _space(title, lately),
-                rrb.TextLogView(origin="/events", name="state machines"),
-                row_shares=[3, 1],
-            ),
-            rrb.Tabs(*tabs, name="curves", active_tab=0),
-            column_shares=[5, 4],
-        ),
-        rrb.TimePanel(
-            timeline=TIMELINE, state="collapsed", play_state="following" if live else None
-        ),
-        rrb.SelectionPanel(state="hidden"),
-        rrb.BlueprintPanel(state="hidden"),
-        auto_views=False,
-    )
+    return tabs
 
 
 def _space(title: str, lately: Any) -> Any:

@@ -28,25 +28,34 @@ _CLOSE_TIMEOUT_S = 10.0
 
 
 class LiveView:
-    """A live view of all topics of a link; a context manager that ends it.
+    """A live view of all topics of a link; a context manager that ends it; `start` makes one.
 
     Args:
-        options: Where to show it.
-        config: How to reach the robot server.
-        metadata: What the run is about; see `reader.run_metadata`.
-        title: What to call it.
-
-    Raises:
-        ConfigurationError: It cannot be shown there; nothing has moved yet.
+        listener: Draws.
     """
 
-    def __init__(
-        self,
-        options: LiveOptions,
-        config: TransportConfig,
-        metadata: Mapping[str, str],
-        title: str,
-    ) -> None:
+    def __init__(self, listener: ListenerProcess) -> None:
+        self._listener = listener
+        self._said = b""
+        self._stuck = False
+        self._notes: list[str] | None = None
+        self._watcher = threading.Thread(target=self._watch, name="skewmi-live", daemon=True)
+
+    @staticmethod
+    def start(
+        options: LiveOptions, config: TransportConfig, metadata: Mapping[str, str], title: str
+    ) -> LiveView:
+        """Open a view, and watch over the process that draws it.
+
+        Args:
+            options: Where to show it.
+            config: How to reach the robot server.
+            metadata: What the run is about; see `reader.run_metadata`.
+            title: What to call it.
+
+        Raises:
+            ConfigurationError: It cannot be shown there; nothing has moved yet.
+        """
         task = {
             "metadata": dict(metadata),
             "title": title,
@@ -55,14 +64,12 @@ class LiveView:
             "out": None if options.out is None else str(options.out),
         }
         try:
-            self._listener = ListenerProcess("skewmi.deploy.replay.live_process", config, task)
+            listener = ListenerProcess.start("skewmi.deploy.replay.live_process", config, task)
         except ListenerStartError as error:
             raise ConfigurationError(f"no live view: {error}") from error
-        self._said = b""
-        self._stuck = False
-        self._notes: list[str] | None = None
-        self._watcher = threading.Thread(target=self._watch, name="skewmi-live", daemon=True)
-        self._watcher.start()
+        view = LiveView(listener)
+        view._watcher.start()
+        return view
 
     @property
     def pid(self) -> int:

@@ -46,28 +46,34 @@ drawing waits for it for ever."""
 
 
 class _Streams:
-    """A Rerun stream to each place that the task asks for: a dead one must not hold up another.
+    """A Rerun stream to each place that the task asks for: a dead one must not hold up another."""
 
-    Args:
-        task: See the module.
+    def __init__(self, streams: list[Any]) -> None:
+        self.all = streams
 
-    Raises:
-        ConfigurationError: A viewer cannot be started or reached.
-    """
+    @staticmethod
+    def open(task: dict[str, Any]) -> _Streams:
+        """Open all of them.
 
-    def __init__(self, task: dict[str, Any]) -> None:
+        Args:
+            task: See the module.
+
+        Raises:
+            ConfigurationError: A viewer cannot be started or reached.
+        """
         name = f"{Path(task['title']).name} {time.strftime('%H:%M:%S')}"
-        self.all: list[Any] = []
+        streams: list[Any] = []
         if task["out"] is not None:
-            self.all.append(_open(name, rr.FileSink(task["out"])))
+            streams.append(_open(name, rr.FileSink(task["out"])))
         if task["spawn"]:
             url = viewer.spawn_viewer(
                 "use --live-out FILE, or --live-connect where there is a screen"
             )
-            self.all.append(_open(name, rr.GrpcSink(url)))
+            streams.append(_open(name, rr.GrpcSink(url)))
         if task["connect"] is not None:
             viewer.require_viewer(task["connect"])
-            self.all.append(_open(name, rr.GrpcSink(task["connect"])))
+            streams.append(_open(name, rr.GrpcSink(task["connect"])))
+        return _Streams(streams)
 
     def finish(self) -> bool:
         """Send what is left, the file first; whether everything was taken in time."""
@@ -133,9 +139,9 @@ def main() -> int:
             streams.finish()
         os._exit(1)
 
-    source = Input(on_end=give_up)
+    source = Input.open(on_end=give_up)
     try:
-        streams = _Streams(source.task)
+        streams = _Streams.open(source.task)
         opened.append(streams)
         counts, assembler = _show(source, streams)
     except (SkewmiError, OSError, RuntimeError) as error:

@@ -122,12 +122,14 @@ class LatestReader:
 class Service:
     """The serving end of a service."""
 
-    def __init__(self, handler: Handler, queries: Any, *, polled: bool) -> None:
+    def __init__(self, handler: Handler, queries: Any) -> None:
         self._handler = handler
         self._queries = queries
-        if not polled:
-            # Not a Zenoh callback: their threads keep the interpreter from exiting.
-            threading.Thread(target=self._serve, name="skewmi-service", daemon=True).start()
+
+    def start(self) -> None:
+        """Answer requests at once, in a thread of their own; else `poll` answers them."""
+        # Not a Zenoh callback: their threads keep the interpreter from exiting.
+        threading.Thread(target=self._serve, name="skewmi-service", daemon=True).start()
 
     def poll(self) -> int:
         """Answer waiting requests in the calling thread, the next eight at most; how many."""

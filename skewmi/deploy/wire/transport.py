@@ -148,7 +148,10 @@ class Link:
             complete=True,
         )
         self._declared.append(queryable)
-        return Service(handler, queryable.handler, polled=polled)
+        service = Service(handler, queryable.handler)
+        if not polled:
+            service.start()
+        return service
 
     def call(
         self, name: ServiceName, timeout_s: float, request: bytes = b""

@@ -41,7 +41,7 @@ def publish_until_recorded(link: Link, path: Path, at_least_bytes: int) -> int:
 def test_recorder_writes_what_was_published(tmp_path, config):
     path = tmp_path / "run.mcap"
     with Link.open(config, "endpoint") as link:
-        with Recorder(path, config, run_metadata(seed="3")) as recorder:
+        with Recorder.start(path, config, run_metadata(seed="3")) as recorder:
             sent = publish_until_recorded(link, path, 20_000)
             recorder.add_metadata({"outcome": "success"})
             summary = recorder.close()
@@ -71,7 +71,7 @@ def test_no_odd_message_ends_a_recording(tmp_path, config):
     with (
         Link.open(config, "endpoint") as link,
         zenoh.open(stranger.zenoh()) as session,
-        Recorder(path, config) as recorder,
+        Recorder.start(path, config) as recorder,
     ):
         for topic in topics.TOPICS:
             key = ros2_keys.data_key(0, topic)
@@ -95,7 +95,7 @@ def test_no_odd_message_ends_a_recording(tmp_path, config):
 def test_recording_survives_the_kill_of_its_recorder(tmp_path, config):
     path = tmp_path / "run.mcap"
     with Link.open(config, "endpoint") as link:
-        recorder = Recorder(path, config, run_metadata(seed="3"))
+        recorder = Recorder.start(path, config, run_metadata(seed="3"))
         sent = publish_until_recorded(link, path, 20_000)
         os.kill(recorder._listener.process.pid, signal.SIGKILL)
         with pytest.raises(TransportError, match="stopped early"):
@@ -117,7 +117,7 @@ import time
 from pathlib import Path
 from skewmi.deploy.recording.recorder import Recorder
 from skewmi.deploy.wire.transport import TransportConfig
-recorder = Recorder(Path({str(path)!r}), TransportConfig.for_client({config.listen[0]!r}))
+recorder = Recorder.start(Path({str(path)!r}), TransportConfig.for_client({config.listen[0]!r}))
 print("recording", flush=True)
 time.sleep(60)
 """
@@ -139,15 +139,15 @@ def test_recorder_refuses_before_it_starts(tmp_path, config):
     existing = tmp_path / "run.mcap"
     existing.write_bytes(b"precious")
     with pytest.raises(ConfigurationError, match="exists; give another"):
-        Recorder(existing, config)
+        Recorder.start(existing, config)
     assert existing.read_bytes() == b"precious"
     with pytest.raises(ConfigurationError, match="is a folder"):
-        Recorder(tmp_path, config)
+        Recorder.start(tmp_path, config)
     with pytest.raises(ConfigurationError, match="Not a directory"):
-        Recorder(existing / "run.mcap", config)
+        Recorder.start(existing / "run.mcap", config)
 
 
 def test_recorder_without_robot_server_says_so(tmp_path, config):
     client = TransportConfig.for_client(config.listen[0], connect_timeout_s=0.3)
     with pytest.raises(TransportError, match="no robot server answers"):
-        Recorder(tmp_path / "run.mcap", client)
+        Recorder.start(tmp_path / "run.mcap", client)
