@@ -77,7 +77,7 @@ def test_figures_show_the_run(run_dir: Path, tmp_path, capsys) -> None:
     [
         (["train", "--task", "door"], "point_maze"),
         (["train"], "no run directory"),
-        (["train", "--task", "point_maze", "--steps", "0"], "total_steps"),
+        (["train", "--task", "point_maze", "--steps", "0"], "--steps"),
         (["figures"], "no run directory"),
     ],
 )
@@ -112,7 +112,7 @@ def test_every_number_of_the_preset_has_a_flag(tmp_path, capsys) -> None:
     # What a run began with stays, and going on needs no flag of it.
     again = ["train", "--run-dir", str(folder), "--resume", "--quiet", "--steps", "1200"]
     assert main([*again, "--learner.n-step", "3", "--num-envs", "4"]) == 2
-    assert "leave out --learner.n-step, --num-envs 3 (the run has 2)" in capsys.readouterr().err
+    assert "leave out --learner.n-step, --num-envs 4 (the run has 2)" in capsys.readouterr().err
     assert main([*again, "--learner.n-step", "1", "--num-envs", "2"]) == 0
     assert read_run_header(folder)[0] == replace(config, total_steps=1200)
 

@@ -253,8 +253,26 @@ def test_without_automatic_reset_the_caller_resets() -> None:
     assert truncated.all()
     with pytest.raises(ConfigurationError, match="reset"):
         envs.step(np.zeros((2, 2), dtype=np.float32))
-    envs.reset()
+    # As Gymnasium's own vector environments: those that ended are named, here always all.
+    options = {"reset_mask": truncated, "desired_goal": [0.3, 0.0]}
+    observation, _ = envs.reset(options=options)
+    assert set(options) == {"reset_mask", "desired_goal"}
+    np.testing.assert_array_equal(observation["desired_goal"], [[0.3, 0.0]] * 2)
     envs.step(np.zeros((2, 2), dtype=np.float32))
+
+
+@pytest.mark.parametrize(
+    ("mask", "message"),
+    [
+        (np.array([True, False]), "1 of 2 copies"),
+        (np.array([True]), "shape"),
+        (np.array([1, 1]), "bool"),
+    ],
+)
+def test_a_reset_mask_that_cannot_be_followed_is_refused(mask: Any, message: str) -> None:
+    envs = gymnasium.make_vec(MAZE, num_envs=2, autoreset_mode="Disabled")
+    with pytest.raises(ConfigurationError, match=message):
+        envs.reset(options={"reset_mask": mask})
 
 
 def test_each_copy_can_have_its_own_goal() -> None:
