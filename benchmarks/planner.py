@@ -201,11 +201,9 @@ def main() -> int:
         "cycle_p99_9": figures["p99_9_share_of_cycle"] <= SHARE_BAR,
         "ratio_to_sum": figures["ratio_to_sum"] <= RATIO_BAR,
         "tick_p99_9": server["p99_9_share_of_tick"] <= SHARE_BAR,
-        **{
-            f"{kind}_{bar}": met
-            for kind in ("steps", "corners")
-            for bar, met in verdicts[kind]["within"].items()
-        },
+        **{f"steps_{bar}": met for bar, met in verdicts["steps"]["within"].items()},
+        # Corners are cut by what the limits ask for: that has no bar.
+        "corners_orientation": verdicts["corners"]["within"]["orientation"],
     }
     document = common.write_result(
         "planner",

@@ -148,7 +148,7 @@ class RecordedArm:
     def reset(self, q: Array) -> None:
         pass
 
-    def set_target(self, position_w: Array, duration_s: float, *, at_once: bool) -> None:
+    def set_target(self, position_w: Array, duration_s: float) -> None:
         now_ns = self.look * CYCLE_NS
         self._begin_w, self._begin_ns = self.commanded(now_ns), now_ns
         self._target_w, self._duration_ns = position_w, round(duration_s * 1e9)

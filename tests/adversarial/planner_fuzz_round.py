@@ -41,7 +41,6 @@ class _Episode:
         self.kinds: Counter[str] = Counter()
         self.continued: Counter[str] = Counter()
         self.worst_return = 0.0
-        self._at_once = False
         # The longest way in the box, at half the speed it is planned with.
         travel = np.linalg.norm(np.array(self.workspace.high) - np.array(self.workspace.low))
         self._patience = int((2.0 * travel / self.planner.hand_bounds.speed + 3.0) / 0.02)
@@ -65,7 +64,6 @@ class _Episode:
     def attack(self, kind: str) -> None:
         """Give the commands of an adversary."""
         source = commands(kind, self.workspace, self.rng)
-        self._at_once = bool(self.rng.random() < 0.5)
         for _ in range(CYCLES_PER_ADVERSARY):
             command = next(source)
             if command is not None:
@@ -81,8 +79,7 @@ class _Episode:
         """What is no number must be refused and change nothing; all else must be taken."""
         target, duration = command
         if np.isfinite(target).all() and np.isfinite(duration) and duration > 0.0:
-            # Policies give up the rest of the path at once, others follow its corners.
-            self.planner.set_target(target, duration, at_once=self._at_once)
+            self.planner.set_target(target, duration)
             return
         before = self.planner.command_position
         try:

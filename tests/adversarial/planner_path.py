@@ -162,7 +162,7 @@ def corners(arm: UrdfArm) -> list[dict[str, Any]]:
 
 
 def zigzags(arm: UrdfArm) -> list[dict[str, Any]]:
-    """A right angle every other control step: harder than what the corners' bar asks for."""
+    """A right angle every other control step."""
     workspace = wide_workspace()
     middle = (np.array(workspace.low) + np.array(workspace.high)) / 2.0
     _, y, z = np.eye(3)

@@ -11,15 +11,11 @@ f is the reference's velocity and p the position that x would have now if it had
 the time and ended where a transition to f, begun now, ends: p = x_end - f t_end, by ruckig. T(f)
 is the lag of a transition from rest to f behind a step of f. So the feedback sees no error while x
 is on its way to what is commanded: it neither tries to catch up a lag that cannot be avoided, which
-would overshoot every stop by the braking distance, nor lets x drift from r.
+would overshoot every stop by the braking distance, nor lets x drift from r. For the same reason
+the feedback's velocity, k times the error, is never more than can be stopped within the error.
 
-At a turn both velocities change at the same time, and x would cut the corner. So there r waits
-(f = 0) for a moment, and goes after the command along its path afterwards (`followed_path`): the
-old velocity is taken back before the new one is built up. How long it waits follows from how far
-the corner may be cut, `CORNER_CUT`.
-
-For the same reason the feedback's velocity, k times the error, is never more than can be stopped
-within the error.
+At a turn of the command the old velocity is taken back while the new one is built up: x cuts the
+corner. Waiting there would keep to the path, and answer a policy later.
 
 The velocity u is cut to the speed limit and, towards each face of the box, to the speed from which
 a stop before the face is possible. A step after which the fastest stop would leave the box is
@@ -32,12 +28,12 @@ a time are faster without numpy.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import ruckig
 
 from skewmi.deploy.motion.brake import Array, approach_speed_of, plan_stop, stop_extent_of
-from skewmi.deploy.motion.followed_path import FollowedPath, Vector
 from skewmi.trajectory import GRID_S
 
 FEEDBACK_GAIN = 5.0
@@ -47,13 +43,7 @@ FEEDBACK_PHASE = 0.5
 """Largest k times A / J, the time in which an acceleration is built up, rad: limits that change
 velocity slowly get a smaller gain, as x would swing around r otherwise."""
 
-CORNER_CUT = 0.4e-3
-"""How far a corner is to be cut, m, where the arm follows x exactly. It does so within some tenths
-of a millimetre."""
-
-MAX_BEHIND = 0.06
-"""How far r may be behind the command because of corners, s. More would be a robot that answers
-too late; then corners are cut."""
+Vector = Sequence[float]
 
 
 class Reference:
@@ -125,11 +115,6 @@ class CartesianShaper:
         self._input.max_jerk = [jerk] * 3
         self._x = [(a + b) / 2.0 for a, b in zip(self._low, self._high, strict=True)]
         self._v, self._a = [0.0] * 3, [0.0] * 3
-        self._path = FollowedPath(round(MAX_BEHIND / GRID_S))
-
-    def forget_path(self) -> None:
-        """Go after the command from where it is now, whatever way it came."""
-        self._path.clear()
 
     @property
     def position_w(self) -> Array:
@@ -148,27 +133,6 @@ class CartesianShaper:
         self._x = np.clip(position_w, self._low, self._high).tolist()
         self._v = self._clip_to_box(self._clip_speed(velocity_w.tolist()))
         self._a = [0.0] * 3
-        self._path.clear()
-
-    def wait_steps(self, velocity_w: Vector) -> int:
-        """How many grid steps to wait before turning into another velocity.
-
-        With V the part of the new velocity that is normal to the present one, and t the time of a
-        transition between both, the corner is cut by V t / 8 if both change together, and by
-        about V t (1 - w/t)^2 / 8 if the new one waits for w.
-        """
-        old, new = self._v, self._clip_speed(list(velocity_w))
-        square = old[0] * old[0] + old[1] * old[1] + old[2] * old[2]
-        if square < 1e-8:
-            return 0
-        along = (old[0] * new[0] + old[1] * new[1] + old[2] * new[2]) / square
-        normal = math.hypot(*(n - along * o for n, o in zip(new, old, strict=True)))
-        change = max(abs(n - o) for n, o in zip(new, old, strict=True))
-        time = 2.0 * self._lag(change)
-        whole_cut = normal * time / 8.0
-        if whole_cut <= CORNER_CUT:
-            return 0
-        return round(time * (1.0 - math.sqrt(CORNER_CUT / whole_cut)) / GRID_S)
 
     def step(self, reference: Reference, hand_position_w: Array, leash: float) -> None:
         """Advance by one grid step towards the reference.
@@ -179,10 +143,7 @@ class CartesianShaper:
             leash: From this distance between x and the hand on, x moves no further away: an arm
                 that cannot follow (joint limit, singularity) must not be left behind.
         """
-        at, follow = self._path.advance(
-            reference.position_w.tolist(), reference.velocity_w.tolist(), self.wait_steps
-        )
-        follow = self._clip_speed(list(follow))
+        at, follow = reference.position_w.tolist(), self._clip_speed(reference.velocity_w.tolist())
         lag = self._lag(max(map(abs, follow)))
         x_end, t_end = self._transition(follow)
         error = [r - f * lag - (x - f * t_end) for r, f, x in zip(at, follow, x_end, strict=True)]

@@ -151,20 +151,18 @@ class Planner:
         self._chunk = JointTrajectory.resting(q, CYCLE_TICKS + 1)
         self.held_back = None
 
-    def set_target(self, position_w: Array, duration_s: float, *, at_once: bool = False) -> None:
+    def set_target(self, position_w: Array, duration_s: float) -> None:
         """Command the hand to a position, to be reached at constant velocity.
 
         Call it once per policy step with the policy's next commanded position (of a
         `CommandIntegrator`) and the step's duration. The executed path follows this command with
-        a lag of some 50 ms at 150 mm/s (profile `lab`), up to 60 ms more after corners, and
-        settles on its last position when no more come.
+        a lag of some 50 ms at 150 mm/s (profile `lab`), cuts its corners by a millimetre or so,
+        and settles on its last position when no more come.
 
         Args:
             position_w: World, m; clipped to the workspace box. Shape (3,).
             duration_s: Time until it should be there, s. Longer than the control step for a
                 slowed-down execution.
-            at_once: Whether to give up what is left of the commanded path, and cut its corners:
-                for a policy that reacts to what it sees, and for a hand that is blocked.
 
         Raises:
             LimitViolationError: A number is not finite, or the duration not positive.
@@ -174,8 +172,6 @@ class Planner:
             raise LimitViolationError("finite numbers", float("nan"), 0.0, f"target {position_w}")
         if not (np.isfinite(duration_s) and duration_s > 0.0):
             raise LimitViolationError("target duration, s", float(duration_s), 0.0)
-        if at_once:
-            self._hand.forget_path()
         self._reference.set_target(np.clip(target, self._low, self._high), duration_s)
 
     def step(self, splice: int = CYCLE_TICKS) -> JointTrajectory:

@@ -29,7 +29,6 @@ from skewmi.deploy.motion.differential_ik import (
     DifferentialIk,
     _arm_model,
 )
-from skewmi.deploy.motion.followed_path import FollowedPath
 from skewmi.deploy.motion.planner import Planner
 from skewmi.robot_models import frames, limits, yumi
 
@@ -96,35 +95,9 @@ def test_inverse_kinematics_solves_minks_program() -> None:
     assert binding > 10
 
 
-def test_followed_path_waits_at_a_corner_and_catches_up() -> None:
-    """On straight ways it is the command; at a corner it waits there, and never leaves the path."""
-    path = FollowedPath(max_steps=15)
-    position, waits = np.zeros(3), []
-    for step in range(120):
-        velocity = (1.0, 0.0, 0.0) if step < 50 else (0.0, 1.0, 0.0)
-        position = position + 0.01 * np.array(velocity)
-        at, follow = path.advance(tuple(position), velocity, lambda _: 10)
-        along_x, along_y = at[0], at[1]
-        assert along_y == pytest.approx(0.0, abs=1e-12) or along_x == pytest.approx(0.5)
-        if step < 50:
-            np.testing.assert_allclose(at, position, atol=1e-12)
-        waits.append(not any(follow))
-    assert sum(waits) == 10
-    np.testing.assert_allclose(at, position, atol=1e-12)
-
-
-def test_followed_path_waits_no_longer_than_it_may() -> None:
-    path = FollowedPath(max_steps=15)
-    position = np.zeros(3)
-    for step in range(200):
-        velocity = (1.0, 0.0, 0.0) if step // 5 % 2 else (0.0, 1.0, 0.0)
-        position = position + 0.01 * np.array(velocity)
-        at, _ = path.advance(tuple(position), velocity, lambda _: 10)
-        assert np.abs(position - np.array(at)).sum() <= 0.01 * 17
-
-
 @pytest.mark.parametrize(("profile", "speed"), [("lab", 0.15), ("careful", 0.04)])
-def test_corners_are_cut_by_less_than_a_millimetre(profile: str, speed: float) -> None:
+def test_corners_are_cut_by_no_more_than_the_limits_ask_for(profile: str, speed: float) -> None:
+    """An eighth of the way that is made while the velocity turns."""
     workspace = planner_path.wide_workspace()
     middle = (np.array(workspace.low) + np.array(workspace.high)) / 2.0
     x, y, z = 0.03 * np.eye(3)
@@ -132,7 +105,9 @@ def test_corners_are_cut_by_less_than_a_millimetre(profile: str, speed: float) -
         corner = middle + first - second
         vertices = np.stack([corner - 2 * first, corner, corner + 2 * second])
         found = planner_path.path_quality(UrdfArm(), workspace, vertices, profile, speed)
-        assert found["lateral_mm"] < 1.0
+        bounds = Planner(workspace, limits.profile(profile)).hand_bounds
+        turning = speed / bounds.acceleration + bounds.acceleration / bounds.jerk
+        assert found["lateral_mm"] < 1e3 * speed * turning / 8.0 + 0.3
         assert found["tilt_deg"] < 0.2
         assert found["overshoot_mm"] < 0.2
 
