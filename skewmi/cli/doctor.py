@@ -24,6 +24,7 @@ import numpy as np
 
 from skewmi.child import child_command
 from skewmi.cli import doctor_probes, numbers
+from skewmi.trajectory import GRID_S
 
 DEFAULT_PORT = 7447
 """Where the robot server listens by default, and Zenoh's usual port."""
@@ -163,7 +164,7 @@ def _timer() -> Check:
     late = []
     due = time.monotonic()
     for _ in range(100):
-        due += 0.004
+        due += GRID_S
         time.sleep(max(0.0, due - time.monotonic()))
         late.append(time.monotonic() - due)
     median, worst = np.median(late) * 1e3, np.max(late) * 1e3

@@ -66,20 +66,7 @@ def run_deploy(
         velocity_fraction=options.speed,
         planned_episodes=options.episodes,
     )
-    server: AbstractContextManager[str | None]
-    if options.connect is not None or options.zenoh_config is not None:
-        server = nullcontext(options.connect)
-    else:
-        tell(f"starting the robot {options.robot!r} in its own process")
-        server = spawn_robot(
-            options.robot,
-            policy.layout.task,
-            profile.name,
-            lock_step=options.lock_step,
-            variation=options.variation,
-            domain=options.domain,
-        )
-    with server as locator:
+    with _robot_server(options, policy.layout.task, tell) as locator:
         config = TransportConfig.for_client(
             locator,
             domain=options.domain,
@@ -92,6 +79,23 @@ def run_deploy(
             with _beside(options, policy, link, config, report):
                 session.run()
     return report
+
+
+def _robot_server(
+    options: DeployOptions, task: str, tell: Callable[[str], None]
+) -> AbstractContextManager[str | None]:
+    """Locator of the robot server that the options name, or of one that is started."""
+    if options.connect is not None or options.zenoh_config is not None:
+        return nullcontext(options.connect)
+    tell(f"starting the robot {options.robot!r} in its own process")
+    return spawn_robot(
+        options.robot,
+        task,
+        options.limits,
+        lock_step=options.lock_step,
+        variation=options.variation,
+        domain=options.domain,
+    )
 
 
 @contextmanager

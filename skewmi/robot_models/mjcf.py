@@ -162,14 +162,12 @@ def _add_arm(
     visual: bool,
     collision: bool,
 ) -> None:
-    letter = yumi.suffix(side)
-    links = yumi.link_names(side)
     # The arm base is folded into the pose of link 1: the model has no body for it.
     a, b, c = yumi.ARM_BASE_XYZ_ANGLES[side]
     rotation = rotation_about(0, a) @ rotation_about(1, b) @ rotation_about(2, c)
     position = np.array(yumi.ARM_BASE_POSITION[side])
     parent = body
-    for i, name in enumerate(links):
+    for i, name in enumerate(yumi.link_names(side)):
         origin = yumi.LINK_ORIGINS[i]
         position = position + rotation @ np.array(origin.position)
         rotation = rotation @ rotation_from_rpy(origin.rpy)
@@ -192,6 +190,22 @@ def _add_arm(
             shapes.LINK_VISUAL[i] if visual else (),
             shapes.LINK_COLLISION[i] if collision else (),
         )
+    _add_gripper(spec, parent, side, jointed, hooked, visual, collision)
+    if collision:
+        for first, second in shapes.untested_pairs(side):
+            spec.add_exclude(name=f"{first}-{second}", bodyname1=first, bodyname2=second)
+
+
+def _add_gripper(
+    spec: mujoco.MjSpec,
+    parent: Any,
+    side: Side,
+    jointed: bool,
+    hooked: bool,
+    visual: bool,
+    collision: bool,
+) -> None:
+    letter = yumi.suffix(side)
     flange = yumi.FLANGE_ORIGIN
     hand = parent.add_body(
         name=f"gripper_{letter}_base", pos=flange.position, quat=_quaternion(flange)
@@ -234,9 +248,6 @@ def _add_arm(
         # by millimetres under a few newtons.
         equality.solref[:2] = (0.01, 1.0)
         equality.solimp[:3] = (0.9999, 0.9999, 0.001)
-    if collision:
-        for first, second in shapes.untested_pairs(side):
-            spec.add_exclude(name=f"{first}-{second}", bodyname1=first, bodyname2=second)
 
 
 def _set_inertial(body: Any, inertial: Inertial) -> None:

@@ -76,15 +76,20 @@ def spawn_robot(
             yield locator
         finally:
             watchdog.cancel()
-            assert child.stdin is not None
-            child.stdin.close()
-            try:
-                child.wait(_END_TIMEOUT_S)
-            except subprocess.TimeoutExpired:
-                child.kill()
-                child.wait()
-            if child.stdout is not None:
-                child.stdout.close()
+            _end(child)
+
+
+def _end(child: subprocess.Popen[bytes]) -> None:
+    """Let the robot come to rest; kill it if it does not end."""
+    assert child.stdin is not None
+    child.stdin.close()
+    try:
+        child.wait(_END_TIMEOUT_S)
+    except subprocess.TimeoutExpired:
+        child.kill()
+        child.wait()
+    if child.stdout is not None:
+        child.stdout.close()
 
 
 def _describes_a_robot(line: bytes) -> bool:

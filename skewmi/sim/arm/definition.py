@@ -6,8 +6,9 @@ Numbers are from the Skew-Explore "yumi_door_button" environment unless a commen
 from __future__ import annotations
 
 from skewmi.robot_models import yumi
+from skewmi.trajectory import GRID_S
 
-SIM_DT = 0.004
+SIM_DT = GRID_S
 """Time step of the physics, s: the grid of the robot's own command interface."""
 CONTROL_DT = 0.1
 """Time between two actions, s. The original takes 1 s; its arm is a hundred times lighter."""
