@@ -30,6 +30,7 @@ FORBIDDEN: dict[str, tuple[str, ...]] = {
         "skewmi.train",
         "skewmi.deploy",
     ),
+    "skewmi.sim.arm": ("gymnasium", "skewmi.sim.tasks"),
     "skewmi.sim": ("torch", "zenoh", "skewmi.train", "skewmi.export", "skewmi.deploy"),
     "skewmi.train": (
         "mujoco",
