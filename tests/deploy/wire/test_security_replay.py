@@ -2,36 +2,23 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
-import zenoh
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from lone_robot import LoneRobot
-from secured_link import robot_process
 
 from skewmi.deploy.motion.start_motion import StartMotion
 from skewmi.deploy.robot.backend import fresh_start_ns
 from skewmi.deploy.robot.backends.mujoco.backend import MujocoBackend
 from skewmi.deploy.robot.backends.mujoco.simulation import ArmSimulation
-from skewmi.deploy.robot.description import RobotDescription
-from skewmi.deploy.robot.process import free_port
-from skewmi.deploy.wire import ros2_keys, topics
 from skewmi.deploy.wire.messages import (
-    JointStates,
     decode_chunk,
-    decode_joint_states,
-    decode_status,
     encode_chunk,
-    encode_joint_states,
 )
-from skewmi.deploy.wire.transport import Link, TransportConfig
 from skewmi.errors import CommandRefusedError
 from skewmi.policy_io import Array
 from skewmi.robot_models import limits as joint_limits
-from skewmi.robot_models import yumi
 from skewmi.trajectory import GRID_NS, TrajectoryChunk
 
 LAB = joint_limits.profile("lab")
@@ -177,115 +164,3 @@ def test_clocks_start_years_apart_and_fit_a_ros_stamp() -> None:
     assert starts[-1] + 3600 * 24 * 365 * 30 < 2**31
     assert len(set(starts)) == 200
     assert all(start == int(start) for start in starts)
-
-
-# Over the wire, with the very bytes.
-
-
-def describe(link: Link) -> RobotDescription:
-    return RobotDescription.from_json(link.call(topics.YUMI_DESCRIBE, 5.0).message)
-
-
-def counts(link: Link, status) -> tuple[int, int, str]:
-    """Accepted and refused so far, and the reasons told since the last call."""
-    link.call(topics.YUMI_DESCRIBE, 5.0)
-    deadline = time.monotonic() + 5.0
-    reasons, values = [], {}
-    seen_since = time.monotonic_ns()
-    while not values or time.monotonic_ns() - seen_since < 0.7e9:  # it reports twice a second
-        assert time.monotonic() < deadline
-        for sample in status.drain():
-            decoded = decode_status(sample.payload)
-            if decoded.name == "skewmi_robot":
-                values = decoded.values
-                reasons.append(values["refusal"])
-        time.sleep(0.01)
-    return int(values["accepted"]), int(values["refused"]), "; ".join(filter(None, reasons))
-
-
-def test_bytes_put_again_over_the_wire_are_refused_with_the_reason() -> None:
-    locator = f"tcp/127.0.0.1:{free_port()}"
-    config = TransportConfig.for_client(locator)
-    chunk_key = ros2_keys.data_key(0, topics.YUMI_TRAJECTORY)
-    gripper_key = ros2_keys.data_key(0, topics.YUMI_GRIPPER)
-    recorded: list[tuple[str, bytes, bytes]] = []
-    with robot_process("--listen", locator), Link.open(config, "first") as link:
-        status = link.subscribe(topics.YUMI_STATUS, depth=None)
-        publisher = link.publisher(topics.YUMI_TRAJECTORY)
-        gripper = link.publisher(topics.YUMI_GRIPPER)
-        with zenoh.open(config.zenoh()) as other:
-            tap = other.declare_subscriber("0/yumi/right/*/**", zenoh.handlers.RingChannel(1000))
-            link.wait_for_robot(10.0)
-            time.sleep(0.3)  # until the tap is known to everybody
-            assert link.call(topics.YUMI_ARM, 5.0, publisher.gid + gripper.gid).success
-            before = describe(link)
-            start = np.array(before.commanded_position)
-            motion = StartMotion(start, start + SIZE, LAB)
-            stamp_ns = before.clock_ns + 400_000_000  # a busy machine may be late
-            chunk = TrajectoryChunk.of(stamp_ns, before.joint_names, motion.trajectory)
-            first = encode_chunk(chunk)
-            publisher.put(first)
-            names = yumi.finger_names("right")[:1]
-            fingers = JointStates(
-                before.clock_ns, names, np.array([0.02]), np.zeros(0), np.zeros(0)
-            )
-            gripper.put(encode_joint_states(fingers))
-            accepted, refused, reasons = counts(link, status)
-            assert (accepted, refused) == (1, 0), reasons
-            while (sample := tap.handler.try_recv()) is not None:
-                recorded.append(
-                    (str(sample.key_expr), sample.payload.to_bytes(), sample.attachment.to_bytes())
-                )
-            assert {key for key, _, _ in recorded} == {chunk_key, gripper_key}
-            deadline = time.monotonic() + 10.0
-            while describe(link).state != "holding":
-                assert time.monotonic() < deadline
-                time.sleep(0.05)
-            rest = describe(link).commanded_position
-            assert np.abs(np.array(rest) - start).max() > 0.05, "it did not move"
-
-            # The same bytes, from the same session and from another.
-            for number, session in enumerate((link._session, other), start=1):
-                for key, payload, attachment in recorded:
-                    session.put(key, payload, attachment=attachment)
-                accepted, refused, reasons = counts(link, status)
-                assert (accepted, refused) == (1, 2 * number)
-                # A machine so slow that the lease has run out refuses them all the more.
-                told = [reasons.count(w) for w in ("repeated or overtaken", "arm it first")]
-                assert sum(told) == 2, reasons
-            # With new numbers, as the commander's own next messages after it has armed again.
-            link.call(topics.YUMI_STOP, 5.0)
-            assert link.call(topics.YUMI_ARM, 5.0, publisher.gid + gripper.gid).success
-            publisher.put(first)
-            gripper_old = JointStates(
-                before.clock_ns - 10_000_000_000, names, np.array([0.0]), np.zeros(0), np.zeros(0)
-            )
-            gripper.put(encode_joint_states(gripper_old))
-            accepted, refused, reasons = counts(link, status)
-            assert (accepted, refused) == (1, 6)
-            assert "in the past of the robot server's clock" in reasons
-            assert "s old by the robot server's clock" in reasons
-            assert describe(link).commanded_position == rest
-
-    # The robot server is started again, and armed for the recorded senders.
-    with (
-        robot_process("--listen", locator),
-        zenoh.open(config.zenoh()) as other,
-        Link.open(config, "second") as link,
-    ):
-        status = link.subscribe(topics.YUMI_STATUS, depth=None)
-        states = link.subscribe(topics.YUMI_JOINT_STATES)
-        link.wait_for_robot(10.0)
-        gids = {key: attachment[17:] for key, _, attachment in recorded}
-        assert link.call(topics.YUMI_ARM, 5.0, gids[chunk_key] + gids[gripper_key]).success
-        before = describe(link)
-        fingers = decode_joint_states(states.wait(5.0).payload).position[7]
-        time.sleep(0.3)
-        for key, payload, attachment in recorded:
-            other.put(key, payload, attachment=attachment)
-        accepted, refused, reasons = counts(link, status)
-        assert (accepted, refused) == (0, 2)
-        assert reasons.count("the robot server's clock") == 2
-        assert describe(link).commanded_position == before.commanded_position
-        now = decode_joint_states(states.wait(5.0).payload).position[7]
-        assert now == pytest.approx(fingers, abs=1e-4)
