@@ -7,7 +7,7 @@ profile only after watching the real robot follow it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import radians
 
 import numpy as np
@@ -30,11 +30,10 @@ class JointLimits:
         name: Name of the profile.
         position_lower: rad. Shape (7,).
         position_upper: rad. Shape (7,).
-        velocity: Largest |velocity|, rad/s, `speed_scale` included. Shape (7,).
+        velocity: Largest |velocity|, rad/s. Shape (7,).
         acceleration: Largest |acceleration|, rad/s^2. Shape (7,).
         jerk: Largest |jerk|, rad/s^3. Shape (7,).
         torque: Largest |torque| including gravity, N m; second-hand [C]. Shape (7,).
-        speed_scale: What `scaled` has multiplied the profile's velocity with, 0..1.
     """
 
     name: str
@@ -44,7 +43,6 @@ class JointLimits:
     acceleration: Array
     jerk: Array
     torque: Array
-    speed_scale: float = 1.0
 
     def __post_init__(self) -> None:
         for field in _VECTORS:
@@ -66,21 +64,6 @@ class JointLimits:
                     f"limit profile {self.name!r}: {field} must be positive, "
                     f"got {getattr(self, field)}"
                 )
-
-    def scaled(self, speed: float) -> JointLimits:
-        """The same limits at a fraction of the speed.
-
-        Acceleration and jerk stay: a slower robot shall not need longer to stop.
-
-        Args:
-            speed: In (0, 1].
-
-        Raises:
-            ConfigurationError: `speed` is outside (0, 1].
-        """
-        if not 0.0 < speed <= 1.0:
-            raise ConfigurationError(f"speed is {speed}; it must be above 0 and at most 1")
-        return replace(self, velocity=self.velocity * speed, speed_scale=self.speed_scale * speed)
 
 
 _VECTORS = ("position_lower", "position_upper", "velocity", "acceleration", "jerk", "torque")

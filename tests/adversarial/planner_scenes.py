@@ -8,6 +8,7 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
+from slow_limits import slowed
 
 from skewmi.policy_io import Workspace
 from skewmi.robot_models import frames, limits, yumi
@@ -130,7 +131,7 @@ def _draw_profile(rng: np.random.Generator, name: str) -> JointLimits:
     """A named profile, sometimes slowed down, or one whose numbers are random per joint."""
     if name != "random":
         bounds = limits.profile(name)
-        return bounds.scaled(float(rng.uniform(0.1, 1.0))) if rng.random() < 0.3 else bounds
+        return slowed(bounds, float(rng.uniform(0.1, 1.0))) if rng.random() < 0.3 else bounds
     acceleration = 10 ** rng.uniform(-0.3, 1.5) * rng.uniform(0.5, 1.0, 7)
     return replace(
         limits.profile("lab"),

@@ -18,7 +18,6 @@ def test_profiles_stay_inside_the_data_sheet(name):
     assert np.all(profile.position_lower > yumi.POSITION_LOWER)
     assert np.all(profile.position_upper < yumi.POSITION_UPPER)
     assert np.all(profile.velocity <= 0.5 * yumi.VELOCITY)
-    assert profile.speed_scale == 1.0
 
 
 @pytest.mark.parametrize("name", limits.PROFILES)
@@ -35,18 +34,6 @@ def test_careful_is_the_slower_one():
     lab, careful = limits.profile("lab"), limits.profile("careful")
     for field in ("velocity", "acceleration", "jerk"):
         assert np.all(getattr(careful, field) < getattr(lab, field))
-
-
-def test_scaling_slows_down_and_keeps_the_brakes():
-    lab = limits.profile("lab")
-    slow = lab.scaled(0.5).scaled(0.2)
-    np.testing.assert_allclose(slow.velocity, 0.1 * lab.velocity)
-    np.testing.assert_array_equal(slow.acceleration, lab.acceleration)
-    np.testing.assert_array_equal(slow.jerk, lab.jerk)
-    assert slow.speed_scale == pytest.approx(0.1)
-    for bad in (0.0, -0.1, 1.01, float("nan")):
-        with pytest.raises(ConfigurationError, match="at most 1"):
-            lab.scaled(bad)
 
 
 def test_limits_cannot_be_changed_by_accident():

@@ -85,8 +85,6 @@ def assert_limits_kept(path: Path) -> dict[str, float]:
             chunk.trajectory.v,
             chunk.trajectory.a,
             chunk.trajectory.point(0),
-            joint_names=chunk.joint_names,
-            time_from_start_ns=chunk.time_from_start_ns,
         )
     worst: dict[str, float] = {}
     for q in executed(chunks):

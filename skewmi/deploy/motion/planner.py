@@ -30,7 +30,7 @@ from skewmi.deploy.motion.cartesian_shaper import CartesianShaper, Reference
 from skewmi.deploy.motion.differential_ik import FEEDBACK_RATE, DifferentialIk
 from skewmi.deploy.motion.hand_bounds import derive_hand_bounds
 from skewmi.deploy.motion.joint_shaper import JointShaper
-from skewmi.deploy.safety import limits as chunk_limits
+from skewmi.deploy.safety.limits import TCP_SPEED_LIMIT, WORKSPACE_TOLERANCE
 from skewmi.errors import ConfigurationError, KinematicsError, LimitViolationError
 from skewmi.policy_io import Workspace
 from skewmi.robot_models.frames import rotation_from_quaternion, rotation_vector
@@ -56,32 +56,23 @@ class Planner:
     Args:
         workspace: Box, orientation and start of the hand.
         limits: Joint limits (already scaled to the wanted speed).
-        tcp_speed: The checker's limit on the tool's speed, m/s; plans stay below.
-        workspace_tolerance: The checker's tolerance, m; plans stay below.
 
     Raises:
         ConfigurationError: The start configuration does not belong to the start position.
         KinematicsError: A corner of the box cannot be reached.
     """
 
-    def __init__(
-        self,
-        workspace: Workspace,
-        limits: JointLimits,
-        *,
-        tcp_speed: float = chunk_limits.TCP_SPEED_LIMIT,
-        workspace_tolerance: float = chunk_limits.WORKSPACE_TOLERANCE,
-    ) -> None:
+    def __init__(self, workspace: Workspace, limits: JointLimits) -> None:
         self.limits = limits
         self.workspace = workspace
         self._base = np.array(workspace.base_position)
         self._low, self._high = np.array(workspace.low), np.array(workspace.high)
         self._rotation = rotation_from_quaternion(workspace.hand_quaternion_wxyz)
-        self._tolerance = TOLERANCE_SHARE * workspace_tolerance
-        self._tcp_speed = TOLERANCE_SHARE * tcp_speed
+        self._tolerance = TOLERANCE_SHARE * WORKSPACE_TOLERANCE
+        self._tcp_speed = TOLERANCE_SHARE * TCP_SPEED_LIMIT
         self._kinematics = ArmKinematics("right")
         posture = np.array(workspace.start_configuration)
-        self.hand_bounds = derive_hand_bounds(workspace, self._kinematics, limits, tcp_speed)
+        self.hand_bounds = derive_hand_bounds(workspace, self._kinematics, limits, TCP_SPEED_LIMIT)
         self._joints = JointShaper(limits)
         self._ik = DifferentialIk(posture, self._rotation)
         self._hand = CartesianShaper(

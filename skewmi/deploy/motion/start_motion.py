@@ -18,7 +18,7 @@ import ruckig
 
 from skewmi.deploy.motion.brake import Array, plan_stop
 from skewmi.deploy.motion.joint_shaper import HEADROOM
-from skewmi.deploy.safety import limits as chunk_limits
+from skewmi.deploy.safety.limits import TCP_SPEED_LIMIT
 from skewmi.errors import ConfigurationError, LimitViolationError
 from skewmi.robot_models.kinematics import ArmKinematics
 from skewmi.robot_models.limits import JointLimits
@@ -38,8 +38,6 @@ class StartMotion:
         q_start: Where the arm rests, rad. Shape (7,).
         q_end: Where it shall rest, rad. Shape (7,).
         limits: Joint limits, scaled to the wanted speed.
-        tcp_speed: The checker's limit on the tool's speed, m/s; the motion is slowed to stay
-            below.
 
     Raises:
         LimitViolationError: A configuration is not finite or outside the position limits.
@@ -50,8 +48,6 @@ class StartMotion:
         q_start: Array,
         q_end: Array,
         limits: JointLimits,
-        *,
-        tcp_speed: float = chunk_limits.TCP_SPEED_LIMIT,
     ) -> None:
         for name, q in (("start", q_start), ("end", q_end)):
             _require_inside(name, np.asarray(q, dtype=np.float64), limits)
@@ -61,7 +57,7 @@ class StartMotion:
         # Where start and end are the same, any bound will do.
         share = np.maximum(distance, _NO_DISTANCE)
         velocity = HEADROOM * float((limits.velocity / share).min())
-        self._velocity = velocity * _tcp_scale(start, self._line, velocity, tcp_speed)
+        self._velocity = velocity * _tcp_scale(start, self._line, velocity)
         self._acceleration = HEADROOM * float((limits.acceleration / share).min())
         self._jerk = HEADROOM * float((limits.jerk / share).min())
         self._s = self._sample()
@@ -134,16 +130,15 @@ def _require_inside(name: str, q: Array, limits: JointLimits) -> None:
         )
 
 
-def _tcp_scale(start: Array, line: Array, rate: float, tcp_speed: float) -> float:
+def _tcp_scale(start: Array, line: Array, rate: float) -> float:
     """Factor on ds/dt that keeps the tool, which moves with |J line| ds/dt, below its limit.
 
     Args:
         start: rad. Shape (7,).
         line: From start to end, rad. Shape (7,).
         rate: Largest ds/dt, 1/s.
-        tcp_speed: Limit, m/s.
     """
     s = np.linspace(0.0, 1.0, 101)[:, None]
     jacobian = ArmKinematics("right").jacobian(start + s * line)[:, :3]
     fastest = float(np.linalg.norm(jacobian @ line, axis=1).max()) * rate
-    return min(1.0, TCP_SHARE * tcp_speed / max(fastest, 1e-9))
+    return min(1.0, TCP_SHARE * TCP_SPEED_LIMIT / max(fastest, 1e-9))

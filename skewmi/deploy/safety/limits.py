@@ -21,7 +21,7 @@ after its last one there is rest.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 
 import numpy as np
@@ -29,18 +29,20 @@ from numpy.typing import NDArray
 
 from skewmi.errors import ConfigurationError, LimitViolationError
 from skewmi.policy_io import Workspace
-from skewmi.robot_models import yumi
 from skewmi.robot_models.limits import JointLimits
+from skewmi.trajectory import JointPoint
 
 Array = NDArray[np.float64]
 Forward = Callable[[Array], tuple[Array, Array]]
+
+JOINTS = 7
 
 GRID_DT = 0.004
 """Grid step, s: the cycle of ABB's externally guided motion."""
 
 TCP_SPEED_LIMIT = 0.25
 """Largest speed of the flange, m/s: "reduced speed" of ISO 10218-1. (ABB's own cap for the YuMi
-is `yumi.TCP_SPEED`, six times as much.)"""
+is `robot_models.yumi.TCP_SPEED`, six times as much.)"""
 
 WORKSPACE_TOLERANCE = 0.005
 """How far the hand may be outside the box that bounds its *command*, m: room for the deviation
@@ -55,7 +57,7 @@ ROUNDING = 1e-6
 REST = 1e-9
 """Velocity (rad/s) and acceleration (rad/s^2) below which an arm is at rest."""
 
-_REST = np.full(7, REST)
+_REST = np.full(JOINTS, REST)
 
 SPLICE_TOLERANCE = (1e-9, 1e-7, 1e-5)
 """Largest difference of q, v, a (rad, rad/s, rad/s^2) between a chunk's first sample and the
@@ -95,7 +97,6 @@ class ChunkChecker:
             the start pose begins outside of the box).
         forward: Tool pose in the robot base frame from joint angles, (n, 7) -> (n, 3),
             (n, 3, 3); needed for box and tool speed, None leaves both out.
-        joint_names: Expected names, chain order.
         grid_dt: Grid step, s.
         tcp_speed: Largest tool speed, m/s.
         workspace_tolerance: m.
@@ -110,7 +111,6 @@ class ChunkChecker:
         workspace: Workspace | None = None,
         forward: Forward | None = None,
         *,
-        joint_names: Sequence[str] = yumi.joint_names("right"),
         grid_dt: float = GRID_DT,
         tcp_speed: float = TCP_SPEED_LIMIT,
         workspace_tolerance: float = WORKSPACE_TOLERANCE,
@@ -121,9 +121,7 @@ class ChunkChecker:
             if not value > 0.0:
                 raise ConfigurationError(f"{name} is {value}; it must be positive")
         self.limits = limits
-        self.joint_names = tuple(joint_names)
         self.grid_dt = grid_dt
-        self._grid_ns = round(grid_dt * 1e9)
         # Between two samples a position can exceed both by A h^2 / 8 at most.
         self._bulge = limits.acceleration * grid_dt * grid_dt / 8.0
         self._middle = (limits.position_upper + limits.position_lower) / 2.0
@@ -141,12 +139,9 @@ class ChunkChecker:
         q: Array,
         v: Array,
         a: Array,
-        previous: tuple[Array, Array, Array] | None = None,
+        previous: JointPoint | None = None,
         *,
-        before: tuple[Array, Array, Array] | None = None,
         earlier: Array | None = None,
-        joint_names: Sequence[str] | None = None,
-        time_from_start_ns: NDArray[np.int64] | None = None,
     ) -> LimitUsage:
         """Accept a chunk or raise.
 
@@ -154,16 +149,11 @@ class ChunkChecker:
             q: Positions, rad. Shape (n, 7), n >= 2.
             v: Velocities, rad/s. Shape (n, 7).
             a: Accelerations, rad/s^2. Shape (n, 7).
-            previous: Position, velocity, acceleration, each (7,), of the motion in progress at
-                the time of the first sample; None if there is none: then the chunk must start
-                at rest, unless `before` is given.
-            before: The same one grid step earlier; the limits are then checked across the
-                splice as well.
+            previous: The motion in progress at the time of the first sample; None if there is
+                none: then the chunk must start at rest.
             earlier: Positions of the motion in progress at the three grid steps before the first
                 sample, oldest first, rad; None leaves differences across the start unchecked
                 unless the chunk starts at rest. Shape (3, 7).
-            joint_names: As received; None if the chunk did not come over the wire.
-            time_from_start_ns: As received, shape (n,); None likewise.
 
         Returns:
             How much of each limit the chunk uses.
@@ -171,63 +161,29 @@ class ChunkChecker:
         Raises:
             LimitViolationError: Names the first limit that is broken.
         """
-        if joint_names is not None:
-            self._check_names(joint_names)
         self._check_form(q, v, a)
-        if time_from_start_ns is not None:
-            self._check_times(time_from_start_ns, len(q))
-        from_rest = previous is None and before is None
-        self._check_ends(q, v, a, previous, from_rest=from_rest)
-        inside, at_rest_before = q, q[[0, 0, 0]]
-        if before is not None:
-            for part in before:
-                if not np.isfinite(part).all():
-                    raise LimitViolationError("finite numbers", float("nan"), 0.0, "earlier motion")
-            q, v, a = (np.vstack(pair) for pair in zip(before, (q, v, a), strict=True))
+        self._check_ends(q, v, a, previous)
         usage = self._check_joints(q, v, a)
         self._check_consistency(q, v, a)
-        if earlier is None and from_rest:
-            earlier = at_rest_before
-        self._check_across(inside, earlier)
+        if earlier is None and previous is None:
+            earlier = q[[0, 0, 0]]
+        self._check_across(q, earlier)
         return usage if self._forward is None else self._check_hand(q, usage)
 
-    def _check_names(self, names: Sequence[str]) -> None:
-        if tuple(names) != self.joint_names:
-            same = sum(a == b for a, b in zip(names, self.joint_names, strict=False))
-            detail = f"got {list(names)[:10]}, expected {list(self.joint_names)}"
-            raise LimitViolationError("joint names in place", same, len(self.joint_names), detail)
-
     def _check_form(self, q: Array, v: Array, a: Array) -> None:
-        joints = len(self.joint_names)
         for name, array in (("q", q), ("v", v), ("a", a)):
-            if array.ndim != 2 or array.shape[1] != joints or array.shape[0] != q.shape[0]:
+            if array.ndim != 2 or array.shape[1] != JOINTS or array.shape[0] != q.shape[0]:
                 detail = f"{name} has shape {array.shape}"
-                raise LimitViolationError("chunk shape", array.size, joints, detail)
+                raise LimitViolationError("chunk shape", array.size, JOINTS, detail)
             if not np.isfinite(array).all():
                 raise LimitViolationError("finite numbers", float("nan"), 0.0, f"in {name}")
         if not 2 <= len(q) <= MAX_SAMPLES:
             raise LimitViolationError("chunk samples", len(q), MAX_SAMPLES, "at least 2")
 
-    def _check_times(self, times_ns: NDArray[np.int64], n: int) -> None:
-        if times_ns.shape != (n,):
-            raise LimitViolationError("chunk times", times_ns.size, n)
-        off = np.abs(times_ns - self._grid_ns * np.arange(n, dtype=np.int64))
-        if off.any():
-            detail = f"grid step {self._grid_ns} ns from 0"
-            raise LimitViolationError("time off the grid, ns", int(off.max()), 0, detail)
-
-    def _check_ends(
-        self,
-        q: Array,
-        v: Array,
-        a: Array,
-        previous: tuple[Array, Array, Array] | None,
-        *,
-        from_rest: bool,
-    ) -> None:
+    def _check_ends(self, q: Array, v: Array, a: Array, previous: JointPoint | None) -> None:
         for name, array in (("velocity", v), ("acceleration", a)):
             _require(f"{name} at the end", np.abs(array[-1]), _REST, 0.0)
-            if from_rest:
+            if previous is None:
                 _require(f"{name} at the first start", np.abs(array[0]), _REST, 0.0)
         if previous is None:
             return
@@ -237,7 +193,7 @@ class ChunkChecker:
             jump = np.abs(array[0] - expected)
             if not np.isfinite(jump).all():
                 raise LimitViolationError("finite numbers", float("nan"), 0.0, "previous motion")
-            _require(f"{name} jump at the splice", jump, np.full(7, tolerance), 0.0)
+            _require(f"{name} jump at the splice", jump, np.full(JOINTS, tolerance), 0.0)
 
     def _check_across(self, q: Array, earlier: Array | None) -> None:
         """Differences of positions that reach over an end of the chunk, or, if it is short, both.

@@ -12,6 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
+from skewmi.deploy.safety.limits import SPLICE_TOLERANCE
 from skewmi.errors import CommandRefusedError, LimitViolationError
 from skewmi.trajectory import Array, JointPoint, JointTrajectory, TrajectoryChunk
 
@@ -55,7 +56,7 @@ class ValidationRules:
     """Longest chunk: two seconds. Bounds the work that one message can cause."""
     max_ahead_ns: int = 500_000_000
     """How far after now a chunk may start."""
-    splice_tolerance: tuple[float, float, float] = (1e-6, 1e-5, 1e-3)
+    splice_tolerance: tuple[float, float, float] = SPLICE_TOLERANCE
     """Largest step between plan and chunk at the chunk's first tick: rad, rad/s, rad/s^2."""
     rest_tolerance: tuple[float, float] = (1e-6, 1e-4)
     """What counts as rest at the end: rad/s, rad/s^2."""

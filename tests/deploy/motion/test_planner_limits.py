@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from planned_runs import KINEMATICS, START, follow
+from slow_limits import slowed
 
 from skewmi.deploy.motion.cartesian_shaper import CartesianShaper, Reference
 from skewmi.deploy.motion.planner import Planner
@@ -99,7 +100,7 @@ def test_stops_at_joint_bounds_and_comes_back(
 
 
 def test_speed_scale_slows_the_joints(workspace: Workspace) -> None:
-    slow = Planner(workspace, limits.profile("lab").scaled(0.1))
+    slow = Planner(workspace, slowed(limits.profile("lab"), 0.1))
     slow.reset(START)
     goal = np.array(workspace.start) + np.array([0.0, 0.1, 0.0])
     run = follow(slow, [goal], settle_cycles=300)

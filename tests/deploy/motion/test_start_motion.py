@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from slow_limits import slowed
 
 from skewmi.deploy.motion.start_motion import StartMotion
 from skewmi.deploy.safety.limits import ChunkChecker, LimitUsage
@@ -52,7 +53,7 @@ def straightness(q: Array) -> float:
 @example(seed=131072, name="lab", speed=1.0)  # stopping joint by joint made the tool faster
 def test_any_motion_keeps_all_limits(seed: int, name: str, speed: float) -> None:
     rng = np.random.default_rng(seed)
-    bounds = limits.profile(name).scaled(speed)
+    bounds = slowed(limits.profile(name), speed)
     start = rng.uniform(bounds.position_lower + 1e-3, bounds.position_upper - 1e-3)
     reach = 10 ** rng.uniform(-4, 0.3)
     end = np.clip(
@@ -79,7 +80,7 @@ def test_uses_what_it_may(name: str) -> None:
 def test_speed_scale_takes_longer() -> None:
     bounds = limits.profile("careful")
     fast = StartMotion(HOME, START, bounds)
-    slow = StartMotion(HOME, START, bounds.scaled(0.5))
+    slow = StartMotion(HOME, START, slowed(bounds, 0.5))
     assert slow.trajectory.duration_s > 1.5 * fast.trajectory.duration_s
 
 

@@ -158,22 +158,6 @@ def test_shapes(checker: ChunkChecker, chunk: Chunk) -> None:
     assert refused(checker, (long, 0 * long, 0 * long)).limit == "chunk samples"
 
 
-def test_names_and_order(checker: ChunkChecker, chunk: Chunk) -> None:
-    names = list(yumi.joint_names("right"))
-    checker.check(*chunk, joint_names=names)
-    swapped = [names[1], names[0], *names[2:]]
-    for bad in (swapped, names[:6], [*names, "extra"], list(yumi.joint_names("left")), []):
-        error = refused(checker, chunk, joint_names=bad)
-        assert "names" in error.limit
-
-
-def test_times_lie_on_the_grid(checker: ChunkChecker, chunk: Chunk) -> None:
-    times = np.arange(len(chunk[0]), dtype=np.int64) * 4_000_000
-    checker.check(*chunk, time_from_start_ns=times)
-    for bad in (times + 1, times[:-1], times[::-1], 2 * times, np.zeros_like(times)):
-        refused(checker, chunk, time_from_start_ns=bad)
-
-
 @pytest.mark.parametrize("which", [1, 2])
 def test_must_end_at_rest(checker: ChunkChecker, chunk: Chunk, which: int) -> None:
     cut = tuple(part[: len(chunk[0]) // 2] for part in chunk)
@@ -195,16 +179,6 @@ def test_splice(checker: ChunkChecker, chunk: Chunk) -> None:
     broken = [part.copy() for part in here]
     broken[0][0] = np.nan
     refused(checker, later, previous=tuple(broken))  # type: ignore[arg-type]
-
-
-def test_limits_hold_across_the_splice(checker: ChunkChecker, chunk: Chunk) -> None:
-    later = tuple(part[8:] for part in chunk)
-    before = tuple(part[7] for part in chunk)
-    checker.check(*later, before=before)  # type: ignore[arg-type]
-    skipped = tuple(part[6] for part in chunk)
-    refused(checker, later, before=skipped)  # type: ignore[arg-type]
-    broken = (np.full(7, np.nan), before[1], before[2])
-    refused(checker, later, before=broken)  # type: ignore[arg-type]
 
 
 def test_usage_merges_and_lists() -> None:

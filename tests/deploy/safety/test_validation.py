@@ -143,7 +143,7 @@ def test_times_beside_the_grid_are_refused(row: int, off: int) -> None:
 
 
 @pytest.mark.parametrize("joint", range(7))
-@pytest.mark.parametrize("step", [1.1e-6, -1e-3, 0.1])
+@pytest.mark.parametrize("step", [1.1e-9, 5e-9, 1.1e-6, -1e-3, 0.1])
 def test_a_chunk_that_does_not_start_on_the_plan_is_refused(joint: int, step: float) -> None:
     plan = PlanExecutor(START + step * np.eye(7)[joint], NOW_NS)
     with pytest.raises(BrokenStreamError, match=f"splice: position of {NAMES[joint]}"):

@@ -180,9 +180,9 @@ def test_commands_without_a_place_in_the_plan_are_at_most_two_seconds_old() -> N
 @pytest.mark.parametrize(
     ("field", "what", "unit", "tolerance"),
     [
-        ("q", "position", "rad", 1e-6),
-        ("v", "velocity", "rad/s", 1e-5),
-        ("a", "acceleration", "rad/s^2", 1e-3),
+        ("q", "position", "rad", 1e-9),
+        ("v", "velocity", "rad/s", 1e-7),
+        ("a", "acceleration", "rad/s^2", 1e-5),
     ],
 )
 def test_splice_tolerances(field: str, what: str, unit: str, tolerance: float) -> None:

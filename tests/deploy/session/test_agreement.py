@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 from robot_servers import description
+from slow_limits import slowed
 
 from skewmi.deploy.robot.description import limit_values
 from skewmi.deploy.session.agreement import check_agreement
@@ -23,7 +24,7 @@ NAMES = yumi.joint_names("right")
 
 def test_agreement_passes_only_if_everything_agrees() -> None:
     check_agreement(make_layout(), yumi.MODEL_HASH, LAB, description())
-    check_agreement(make_layout(), None, LAB.scaled(0.3), description())
+    check_agreement(make_layout(), None, slowed(LAB, 0.3), description())
 
 
 @pytest.mark.parametrize(
@@ -36,7 +37,7 @@ def test_agreement_passes_only_if_everything_agrees() -> None:
         ({"grid_ns": 8_000_000}, ConfigurationError),
         ({"state_period_ns": 4_000_000}, ConfigurationError),
         ({"limits": limit_values(joint_limits.profile("careful"))}, ConfigurationError),
-        ({"limits": limit_values(LAB.scaled(0.99))}, ConfigurationError),
+        ({"limits": limit_values(slowed(LAB, 0.99))}, ConfigurationError),
         ({"limits": {}}, ConfigurationError),
     ],
     ids=lambda value: "-".join(value) if isinstance(value, dict) else "",
