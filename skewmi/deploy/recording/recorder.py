@@ -51,14 +51,15 @@ class Recorder:
         self._listener = listener
         self._summary: RecordingSummary | None = None
 
-    @staticmethod
+    @classmethod
     def start(
+        cls,
         path: Path,
         config: TransportConfig,
         metadata: Mapping[str, str] | None = None,
         *,
         overwrite: bool = False,
-    ) -> Recorder:
+    ) -> Self:
         """Start recording; returns once everything is subscribed to.
 
         Args:
@@ -81,7 +82,7 @@ class Recorder:
             )
         except ListenerStartError as error:
             raise TransportError(f"cannot record to {path}: {error}") from error
-        recorder = Recorder(path, listener)
+        recorder = cls(path, listener)
         if metadata:
             recorder.add_metadata(metadata)
         return recorder

@@ -41,10 +41,10 @@ class LiveView:
         self._notes: list[str] | None = None
         self._watcher = threading.Thread(target=self._watch, name="skewmi-live", daemon=True)
 
-    @staticmethod
+    @classmethod
     def start(
-        options: LiveOptions, config: TransportConfig, metadata: Mapping[str, str], title: str
-    ) -> LiveView:
+        cls, options: LiveOptions, config: TransportConfig, metadata: Mapping[str, str], title: str
+    ) -> Self:
         """Open a view, and watch over the process that draws it.
 
         Args:
@@ -67,7 +67,7 @@ class LiveView:
             listener = ListenerProcess.start("skewmi.deploy.replay.live_process", config, task)
         except ListenerStartError as error:
             raise ConfigurationError(f"no live view: {error}") from error
-        view = LiveView(listener)
+        view = cls(listener)
         view._watcher.start()
         return view
 
