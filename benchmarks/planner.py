@@ -119,7 +119,7 @@ def measure_cycles(cycles: int, seed: int) -> dict[str, Any]:
     times, whole = StageTimes(), []
     cycle = Cycle(times, seed)
     watch_stages(cycle.planner, times)
-    times.watch(cycle.guard, "_measure", "distances (in guard)")
+    times.watch(cycle.guard.clearance, "_measure", "distances (in guard)")
     with hot_loop(priority=True) as granted:
         pace = Pace(CYCLE_S)
         for _ in range(cycles):

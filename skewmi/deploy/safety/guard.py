@@ -2,29 +2,22 @@
 
 Checked are the hand's position and tilt, torque (inverse dynamics) and mobility at a few samples,
 and the distances of the arm to the robot itself and to the table at all of them.
-
-Distances are dear (hundreds of pairs of shapes), so they are computed only when they may matter. A
-joint i that turns by d moves no point of link p by more than r_ip d, r_ip being the largest
-distance of a point of that link from its axis; and only the joints between two links change the
-distance of the two. If a distance at some earlier configuration q0 exceeds the clearance by more
-than sum_i r_ip |q_i - q0_i| over those joints, it exceeds it at q too: nothing need be computed.
-Otherwise the pairs for which this fails are measured at the sample itself.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
-import coal
 import numpy as np
 import pinocchio
-from numpy.typing import NDArray
 
+from skewmi.deploy.safety.clearance import ClearanceCheck
 from skewmi.errors import LimitViolationError
 from skewmi.policy_io import Workspace
 from skewmi.robot_models import urdf, yumi
 from skewmi.robot_models.limits import JointLimits
-from skewmi.trajectory import Array
+from skewmi.trajectory import CYCLE_TICKS, Array
 
 CLEARANCE = 0.005
 """Smallest distance to the robot itself and the table, m; at home the modelled torso and elbow
@@ -46,8 +39,6 @@ the difference of two correct models is not a breach."""
 
 FEW_SAMPLES = 6
 """Samples of a chunk, spread evenly, at which hand and torque are looked at."""
-
-TABLE_THICKNESS = 0.2
 
 
 @dataclass(frozen=True)
@@ -85,7 +76,6 @@ class Guard:
         clearance: float = CLEARANCE,
     ) -> None:
         self._torque = limits.torque
-        self._clearance = clearance
         self._workspace: tuple[Array, Array, Array] | None = None
         opening = yumi.GRIPPER.travel
         if workspace is not None:
@@ -95,34 +85,13 @@ class Guard:
             low, high = np.array(workspace.low) - base, np.array(workspace.high) - base
             self._workspace = low, high, rotation
             opening = workspace.gripper_opening
-        text = urdf.build_urdf()
-        full = pinocchio.buildModelFromXML(text)
-        shapes = pinocchio.buildGeomFromUrdfString(full, text, pinocchio.GeometryType.COLLISION)
-        fixed = pinocchio.neutral(full)
-        for name, value in zip(yumi.joint_names("left"), yumi.HOME["left"], strict=True):
-            fixed[full.joints[full.getJointId(name)].idx_q] = value
-        for side in yumi.ARMS:
-            for name in yumi.finger_names(side):
-                fixed[full.joints[full.getJointId(name)].idx_q] = opening
-        torso = {shape.name for shape in shapes.geometryObjects if shape.parentJoint == 0}
-        arm = yumi.joint_names("right")
-        locked = [i for i in range(1, full.njoints) if full.names[i] not in arm]
-        self._model, self._shapes = pinocchio.buildReducedModel(full, shapes, locked, fixed)
-        assert tuple(self._model.names)[1:] == arm
-        if payload > 0.0:
-            tip = pinocchio.SE3(np.eye(3), np.array([0.0, 0.0, 0.136]))
-            frame = self._model.frames[self._model.getFrameId(yumi.tool_name("right"))]
-            added = pinocchio.Inertia(payload, np.zeros(3), np.zeros((3, 3)))
-            self._model.appendBodyToJoint(frame.parentJoint, added, frame.placement * tip)
+        self._model, shapes, torso = _build_arm(opening, payload)
         self._data = self._model.createData()
         self._tool = self._model.getFrameId(yumi.tool_name("right"))
-        self._add_table()
-        self._add_pairs(torso)
-        self._shape_data = pinocchio.GeometryData(self._shapes)
-        self._measure_at(np.zeros(7))
+        self.clearance = ClearanceCheck(self._model, self._data, shapes, torso, clearance)
         self._weights = np.array([1.0, 1.0, 1.0, LEVER, LEVER, LEVER])[:, None]
 
-    def check(self, q: Array, v: Array, a: Array, new_samples: int = 5) -> GuardReport:
+    def check(self, q: Array, v: Array, a: Array, new_samples: int = CYCLE_TICKS) -> GuardReport:
         """Accept a chunk or raise.
 
         Args:
@@ -142,7 +111,7 @@ class Guard:
         hand = [self._check_hand(q[k]) for k in few]
         value = min(self._check_mobility(q[k]) for k in {min(new_samples, len(q) - 1), len(q) - 1})
         return GuardReport(
-            clearance=self._check_clearance(q),
+            clearance=self.clearance.check(q),
             torque=torque,
             singular_value=value,
             tilt=max(tilt for _, tilt in hand),
@@ -154,16 +123,6 @@ class Guard:
         pinocchio.forwardKinematics(self._model, self._data, q)
         pose = pinocchio.updateFramePlacement(self._model, self._data, self._tool)
         return pose.translation.copy(), pose.rotation.copy()
-
-    def distances(self, q: Array) -> list[tuple[str, str, float]]:
-        """All pairs that are watched, nearest first, with their distance in m."""
-        values = self._measure(q)
-        objects = self._shapes.geometryObjects
-        found = [
-            (objects[pair.first].name, objects[pair.second].name, float(value))
-            for pair, value in zip(self._shapes.collisionPairs, values, strict=True)
-        ]
-        return sorted(found, key=lambda entry: entry[2])
 
     def _check_hand(self, q: Array) -> tuple[float, float]:
         if self._workspace is None:
@@ -200,100 +159,34 @@ class Guard:
             raise LimitViolationError("smallest singular value", value, SINGULAR_VALUE)
         return value
 
-    def _check_clearance(self, q: Array) -> float:
-        """Lower bound of the smallest distance over all samples."""
-        bound = self._bounds(q)
-        if bound.min() <= self._clearance:
-            self._measure_at(q[0])
-            bound = self._bounds(q)
-        if bound.min() > self._clearance:
-            return float(bound.min())
-        clearance = np.inf
-        for sample, bounds in zip(q, bound, strict=True):
-            close = bounds <= self._clearance
-            near = np.flatnonzero(close[self._group])
-            distances = self._measure(sample, near)
-            far = float(bounds[~close].min(initial=np.inf))
-            clearance = min(clearance, far, float(distances.min(initial=np.inf)))
-            if clearance < self._clearance:
-                pair = self._shapes.collisionPairs[int(near[int(np.argmin(distances))])]
-                first, second = (
-                    self._shapes.geometryObjects[i].name for i in (pair.first, pair.second)
-                )
-                raise LimitViolationError(
-                    "clearance, m", clearance, self._clearance, f"{first} to {second}"
-                )
-        return clearance
 
-    def _bounds(self, q: Array) -> Array:
-        """What the distances of each group of pairs are at least, m. Shapes (n, 7), (n, groups)."""
-        bounds: Array = self._nearest - np.abs(q - self._measured_at) @ self._reach.T
-        return bounds
+def _build_arm(opening: float, payload: float) -> tuple[Any, Any, set[str]]:
+    """The right arm of the URDF with the left one parked, and every shape on it.
 
-    def _measure_at(self, q: Array) -> None:
-        """Measure every pair at a configuration, to know what others can come to at worst."""
-        self._measured_at = q.copy()
-        self._nearest = np.full(len(self._reach), np.inf)
-        np.minimum.at(self._nearest, self._group, self._measure(q))
+    Args:
+        opening: Of the fingers, m.
+        payload: At the finger tips, kg.
 
-    def _measure(self, q: Array, pairs: NDArray[np.intp] | None = None) -> Array:
-        """Distances of the given pairs (all by default) at a configuration, m."""
-        pinocchio.updateGeometryPlacements(
-            self._model, self._data, self._shapes, self._shape_data, q
-        )
-        if pairs is None:
-            pinocchio.computeDistances(self._shapes, self._shape_data)
-            pairs = np.arange(len(self._shapes.collisionPairs))
-        else:
-            for index in pairs:
-                pinocchio.computeDistance(self._shapes, self._shape_data, int(index))
-        results = self._shape_data.distanceResults
-        return np.array([results[int(index)].min_distance for index in pairs])
-
-    def _reaches(self) -> Array:
-        """r: how far a point of each link can be from each joint's axis, m; 0 for joints behind.
-
-        Shape (8, 7): links 0 (fixed) to 7, joints 1 to 7.
-        """
-        reach = np.zeros((8, 7))
-        for shape in self._shapes.geometryObjects:
-            link = int(shape.parentJoint)
-            shape.geometry.computeLocalAABB()
-            length = shape.geometry.aabb_radius + float(
-                np.linalg.norm(shape.placement.act(shape.geometry.aabb_center))
-            )
-            for i in range(link, 0, -1):
-                reach[link, i - 1] = max(reach[link, i - 1], length)
-                length += float(np.linalg.norm(self._model.jointPlacements[i].translation))
-        return reach
-
-    def _add_table(self) -> None:
-        table = pinocchio.GeometryObject(
-            "table",
-            0,
-            pinocchio.SE3(np.eye(3), np.array([0.0, 0.0, -TABLE_THICKNESS / 2.0])),
-            coal.Box(4.0, 4.0, TABLE_THICKNESS),
-        )
-        self._table = self._shapes.addGeometryObject(table)
-
-    def _add_pairs(self, torso: set[str]) -> None:
-        """Right arm against the left one, torso and table, and against itself.
-
-        Left out is what touches by construction: links one and two joints apart, and the first
-        link, which turns in the torso.
-        """
-        shapes, reaches = list(self._shapes.geometryObjects), self._reaches()
-        groups: dict[tuple[int, int], int] = {}
-        group: list[int] = []
-        for i, first in enumerate(shapes):
-            for j, second in enumerate(shapes[:i]):
-                fixed, moved = sorted((first, second), key=lambda shape: int(shape.parentJoint))
-                near, far = int(fixed.parentJoint), int(moved.parentJoint)
-                built_together = far - near < 3 if near else far == 1 and fixed.name in torso
-                if far and not built_together:
-                    self._shapes.addCollisionPair(pinocchio.CollisionPair(j, i))
-                    group.append(groups.setdefault((near, far), len(groups)))
-        # Pairs of the same two links have the same bounds.
-        self._group = np.array(group)
-        between = [np.arange(1, 8) > near for near, _ in groups]
-        self._reach = np.array([reaches[far] for _, far in groups]) * between
+    Returns:
+        Model and shapes, and the names of the shapes that were fixed to the body from the first.
+    """
+    text = urdf.build_urdf()
+    full = pinocchio.buildModelFromXML(text)
+    shapes = pinocchio.buildGeomFromUrdfString(full, text, pinocchio.GeometryType.COLLISION)
+    fixed = pinocchio.neutral(full)
+    for name, value in zip(yumi.joint_names("left"), yumi.HOME["left"], strict=True):
+        fixed[full.joints[full.getJointId(name)].idx_q] = value
+    for side in yumi.ARMS:
+        for name in yumi.finger_names(side):
+            fixed[full.joints[full.getJointId(name)].idx_q] = opening
+    torso = {shape.name for shape in shapes.geometryObjects if shape.parentJoint == 0}
+    arm = yumi.joint_names("right")
+    locked = [i for i in range(1, full.njoints) if full.names[i] not in arm]
+    model, shapes = pinocchio.buildReducedModel(full, shapes, locked, fixed)
+    assert tuple(model.names)[1:] == arm
+    if payload > 0.0:
+        tip = pinocchio.SE3(np.eye(3), np.array([0.0, 0.0, 0.136]))
+        frame = model.frames[model.getFrameId(yumi.tool_name("right"))]
+        added = pinocchio.Inertia(payload, np.zeros(3), np.zeros((3, 3)))
+        model.appendBodyToJoint(frame.parentJoint, added, frame.placement * tip)
+    return model, shapes, torso

@@ -124,7 +124,7 @@ def test_sees_table_and_torso(anywhere: Guard) -> None:
     rng = np.random.default_rng(1)
     met = set()
     for q in rng.uniform(LAB.position_lower, LAB.position_upper, (300, 7)):
-        first, second, distance = anywhere.distances(q)[0]
+        first, second, distance = anywhere.clearance.distances(q)[0]
         if distance < CLEARANCE:
             met.add("table" if "table" in (first, second) else first.rsplit("_", 1)[0])
             with pytest.raises(LimitViolationError, match="clearance"):
@@ -168,7 +168,7 @@ def test_every_pose_in_which_mujoco_finds_the_arm_inside_something_is_refused() 
                 GUARDS[0].check(*still(q))
         refused = {
             tuple(sorted(name.rsplit("_", 1)[0] for name in shapes))
-            for *shapes, distance in GUARDS[0].distances(q)
+            for *shapes, distance in GUARDS[0].clearance.distances(q)
             if distance < CLEARANCE
         }
         assert {tuple(sorted(pair)) for pair in met} <= refused
@@ -184,12 +184,12 @@ def test_skipped_distances_were_safe(seed: int, size: float) -> None:
     rng = np.random.default_rng(seed)
     watched = GUARDS[0]
     q0 = rng.uniform(LAB.position_lower, LAB.position_upper)
-    if watched.distances(q0)[0][2] < CLEARANCE:
+    if watched.clearance.distances(q0)[0][2] < CLEARANCE:
         return
     step = rng.normal(size=7)
     q1 = np.clip(q0 + size * step / np.abs(step).max(), LAB.position_lower, LAB.position_upper)
     way = q0 + np.linspace(0.0, 1.0, 8)[:, None] * (q1 - q0)
-    truth = min(watched.distances(q)[0][2] for q in way)
+    truth = min(watched.clearance.distances(q)[0][2] for q in way)
     rest = np.zeros_like(way)
     watched.check(*still(q0))
     if truth < CLEARANCE:
