@@ -63,6 +63,8 @@ def make_folder(folder: Path) -> Path:
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError) as error:
+        raise OutputError(f"cannot write {folder}: it, or what is above it, is a file") from error
     except OSError as error:
         raise cannot_write(folder, error) from error
     return folder

@@ -144,5 +144,5 @@ def test_folder_that_cannot_be_synced_is_no_error(
 
 def test_errors_are_of_the_users_making(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(ConfigurationError, match="Not a directory"):
+    with pytest.raises(ConfigurationError, match="is a file"):
         make_folder(tmp_path / "file" / "below")

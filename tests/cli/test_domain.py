@@ -65,11 +65,11 @@ def test_certificates_open_the_domain_up(
 def test_robot_answers_in_its_domain_alone() -> None:
     with spawn_robot("sim", "open_press_close", "lab", lock_step=True, domain=7) as locator:
         with Link.open(TransportConfig.for_client(locator, domain=7), "inside") as link:
-            assert link.wait_for_robot(10.0)["state"] == "disarmed"
+            assert link.wait_for_robot(60.0)["state"] == "disarmed"
         with (
             Link.open(TransportConfig.for_client(locator), "outside") as link,
             pytest.raises(TransportError, match=r"domain 0.*--domain"),
         ):
             link.wait_for_robot(0.5)
-        assert main(["stop", "--connect", locator, "--domain", "7"]) == 0
+        assert main(["stop", "--connect", locator, "--domain", "7", "--timeout-s", "30"]) == 0
         assert main(["stop", "--connect", locator, "--domain", "8", "--timeout-s", "0.5"]) == 2

@@ -12,7 +12,7 @@ import onnxruntime
 import pytest
 import torch
 
-from skewmi.errors import PolicyFileError, VerificationError
+from skewmi.errors import OutputError, PolicyFileError, VerificationError
 from skewmi.export.onnx_export import TOLERANCE, build_model, export_policy, max_difference
 from skewmi.policy_io import Array, PolicyLayout
 
@@ -235,9 +235,9 @@ def test_path_that_cannot_be_written_is_one_line(
     tmp_path: Path, feedforward: Any, observations: Array
 ) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(PolicyFileError, match="cannot write"):
+    with pytest.raises(OutputError, match="cannot write"):
         export_policy(feedforward, tmp_path / "file" / "policy.onnx", observations)
-    with pytest.raises(PolicyFileError, match="cannot write"):
+    with pytest.raises(OutputError, match="cannot write"):
         export_policy(feedforward, tmp_path, observations)
 
 

@@ -143,7 +143,7 @@ def test_recorder_refuses_before_it_starts(tmp_path, config):
     assert existing.read_bytes() == b"precious"
     with pytest.raises(ConfigurationError, match="is a folder"):
         Recorder.start(tmp_path, config)
-    with pytest.raises(ConfigurationError, match="Not a directory"):
+    with pytest.raises(ConfigurationError, match="is a file"):
         Recorder.start(existing / "run.mcap", config)
 
 

@@ -259,7 +259,7 @@ def test_bad_places_are_one_line(
         (["--live-connect", nobody], "no Rerun viewer listens"),
         (["--live-connect", "localhost:9876"], "not the address"),
         (["--live-connect", nobody, "--live"], "not both"),
-        (["--live-out", str(there / "x.rrd")], "Not a directory"),
+        (["--live-out", str(there / "x.rrd")], "is a file"),
         (["--live-out", str(there)], "exists"),
     ):
         assert complaint in one_line(capsys, arguments)
