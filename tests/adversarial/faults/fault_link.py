@@ -192,7 +192,7 @@ class FaultLink:
             return
         if self._awaited is not None and self._awaited[0] == self._phase:
             chunk = message.chunk
-            moves = np.abs(chunk.v[0]).max() > MOVING
+            moves = np.abs(chunk.trajectory.v[0]).max() > MOVING
             if moves and self._moves_ns is None:
                 self._moves_ns = chunk.stamp_ns
             if moves and chunk.stamp_ns - (self._moves_ns or 0) >= self._lead_ns:
