@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import threading
+from collections.abc import Iterator
 
 import pytest
 
@@ -17,7 +18,7 @@ def test_an_interrupt_while_the_robot_starts_leaves_no_timer(
     class Interrupted:
         closed = False
 
-        def readline(self) -> bytes:
+        def __iter__(self) -> Iterator[bytes]:
             raise KeyboardInterrupt
 
         def close(self) -> None:
