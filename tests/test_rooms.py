@@ -22,6 +22,7 @@ ROOMS: dict[str, set[str]] = {
         "policy_io",
         "robot_models",
         "contact",
+        "child",
         "sim",
         "deploy.wire",
         "deploy.safety",
@@ -32,7 +33,7 @@ ROOMS: dict[str, set[str]] = {
         "policy_io",
         "robot_models",
         "command_integrator",
-        "hand_command",
+        "success",
         "deploy.wire",
         "deploy.safety",
         "deploy.motion",
@@ -42,8 +43,16 @@ ROOMS: dict[str, set[str]] = {
         "deploy.options",
         "deploy.report",
     },
-    "recording": {"deploy.wire"},
-    "replay": {"policy_io", "robot_models", "deploy.wire", "deploy.recording"},
+    "recording": {"child", "outputs", "deploy.wire"},
+    "replay": {
+        "policy_io",
+        "success",
+        "robot_models",
+        "child",
+        "outputs",
+        "deploy.wire",
+        "deploy.recording",
+    },
 }
 """Room of `deploy` -> what of this package its files may import."""
 
