@@ -50,6 +50,7 @@ ROOMS: dict[str, set[str]] = {
         "robot_models",
         "child",
         "outputs",
+        "privacy",
         "deploy.wire",
         "deploy.recording",
     },
