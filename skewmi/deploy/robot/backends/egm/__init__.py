@@ -1,0 +1,1 @@
+"""The real controller: ABB's externally guided motion (EGM) over UDP."""
