@@ -118,6 +118,7 @@ def test_position_alone_has_no_speed_reference() -> None:
     assert [number for number, _ in egm_wire.fields(data)] == [1, 2]
 
 
+@settings(deadline=None)
 @given(seven, st.none() | seven, st.integers(0, 2**32 - 1))
 def test_reference_survives_the_wire(q: np.ndarray, v: np.ndarray | None, sequence: int) -> None:
     back = decode_reference(encode_reference(ReferencePacket(sequence, 7, q, v)))
@@ -128,6 +129,7 @@ def test_reference_survives_the_wire(q: np.ndarray, v: np.ndarray | None, sequen
         np.testing.assert_allclose(back.v, v, atol=1e-14)
 
 
+@settings(deadline=None)
 @given(
     seven,
     st.sampled_from(Motors),
@@ -193,7 +195,7 @@ def test_size_is_looked_at_first(size: int) -> None:
         decode_feedback(b"\x0a" * size)
 
 
-@settings(max_examples=300)
+@settings(max_examples=300, deadline=None)
 @given(st.binary(max_size=400) | st.integers(0, 300), st.randoms(use_true_random=False))
 def test_no_bytes_raise_anything_else(data: bytes | int, random: object) -> None:
     if isinstance(data, int):

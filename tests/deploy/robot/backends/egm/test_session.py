@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from skewmi.deploy.robot.backends.egm.clock import NOMINAL_PERIOD_NS, ControllerClock
@@ -42,6 +42,7 @@ def test_every_next_packet_counts_once() -> None:
     assert judge(received(8), received(7)) == Accepted(1, "")
 
 
+@settings(deadline=None)
 @given(st.integers(2, 24))
 def test_lost_packets_are_cycles_all_the_same(lost: int) -> None:
     assert judge(received(7 + lost), received(7)) == Accepted(lost, "")
@@ -216,6 +217,7 @@ def test_clock_takes_slower_sampling_from_the_first_packets() -> None:
     assert clock.period_ns == pytest.approx(2 * CYCLE_US * 1000)
 
 
+@settings(deadline=None)
 @given(st.lists(st.sampled_from(EgmEvent), max_size=30))
 def test_only_a_session_and_its_ramp_lead_to_guiding(events: list[EgmEvent]) -> None:
     state, ramped = EgmState.SILENT, False
