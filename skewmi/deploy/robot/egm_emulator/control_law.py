@@ -1,17 +1,17 @@
 """How a controller follows EGM references: its desired position, cycle by cycle.
 
-Application manual 3HAC073318 (RobotWare 7.16), p. 26:
+ABB's application manual 3HAC073318 (RobotWare 7.16), p. 26 and 29:
 
-    speed = k (position reference - desired position) + speed reference
+    speed = low-pass(k (position reference - desired position) + speed reference)
 
 The position in it is the controller's own desired one, not the measured one: a held-up arm does
-not wind the law up. Both references pass a low-pass; the speed is ramped in from the start of the
-session; if one joint would be too fast, all are slowed down by one factor; and the motion acts on
-the joints with a lag. A reference that does not come is replaced by the one before it, speed
-included, which is why a silent partner does not stop the arm.
+not wind the law up. The speed is ramped in from the start of the session and ramped out at its
+end; if one joint would be too fast, all are slowed down by one factor; and the motion acts on the
+joints with a lag. A reference that does not come is replaced by the one before it, speed included,
+which is why a silent partner does not stop the arm.
 
-Left open by the manual and chosen here: the low-pass is of first order; the lag lies between the
-desired position and the servos; at the end of a session a joint brakes with `STOP_DECELERATION`.
+Left open by the manual and chosen here: the low-pass is of first order, ramps are linear, and the
+lag lies between the desired position and the servos.
 """
 
 from __future__ import annotations
@@ -26,9 +26,6 @@ from skewmi.deploy.robot.backends.egm.packets import ReferencePacket
 from skewmi.deploy.robot.backends.egm.program import ProgramSettings
 from skewmi.policy_io import Array
 from skewmi.robot_models import yumi
-
-STOP_DECELERATION = 20.0
-"""rad/s^2 [C]: what the data sheet's 11 m/s^2 at the tool mean for a shoulder axis."""
 
 
 class Target(NamedTuple):
@@ -75,7 +72,8 @@ class ControlLaw:
         self._began_at = self.desired.copy()
         self._elapsed_s = 0.0
         self._reference: Target | None = None
-        self._filtered: Target | None = None
+        self._filtered = np.zeros(7)
+        self._ramp_out: Array | None = None
 
     def step(self, reference: ReferencePacket | None) -> Target:
         """One cycle in a session.
@@ -91,41 +89,30 @@ class ControlLaw:
         if reference is not None:
             v = np.zeros(7) if reference.v is None else reference.v
             self._reference = Target(reference.q, v)
-        if self._reference is None:
-            self._move(np.zeros(7))
-            return self._delayed()
-        filtered = self._filter(self._reference)
-        error = filtered.q - self.desired
-        ramp = min(1.0, self._elapsed_s / self._settings.ramp_in_s)
-        speed = ramp * (self._settings.gain * error + filtered.v)
-        asked = float((np.abs(speed) / self._speed_limit).max())
+        if self._reference is not None:
+            error = self._reference.q - self.desired
+            ramp = min(1.0, self._elapsed_s / self._settings.ramp_in_s)
+            speed = ramp * (self._settings.gain * error + self._reference.v)
+            self._filtered = self._filtered + self._smoothing * (speed - self._filtered)
+        asked = float((np.abs(self._filtered) / self._speed_limit).max())
         self.utilization = 100.0 * asked
-        self._move(speed / max(asked, 1.0))
+        self._move(self._filtered / max(asked, 1.0))
         self._note_convergence()
         return self._delayed()
 
     def brake(self) -> Target:
-        """One cycle outside of a session: come to rest, then stay there."""
-        slower = STOP_DECELERATION * self._period_s
+        """One cycle after the end of a session: the speed goes to zero and stays there."""
+        if self._ramp_out is None:
+            self._ramp_out = self.speed * (self._period_s / self._settings.ramp_out_s)
+        step = np.minimum(np.abs(self._ramp_out), np.abs(self.speed))
         self.utilization = 0.0
-        self._move(np.sign(self.speed) * np.maximum(np.abs(self.speed) - slower, 0.0))
+        self._move(self.speed - np.sign(self.speed) * step)
         return self._delayed()
 
     @property
     def resting(self) -> bool:
         """Whether the desired position stands still and nothing is on its way to the servos."""
         return all(not target.v.any() for target in self._on_its_way)
-
-    def _filter(self, reference: Target) -> Target:
-        before = self._filtered
-        if before is None:
-            # The filter starts where the arm is: a first reference elsewhere is no step.
-            before = Target(self.desired.copy(), np.zeros(7))
-        self._filtered = Target(
-            before.q + self._smoothing * (reference.q - before.q),
-            before.v + self._smoothing * (reference.v - before.v),
-        )
-        return self._filtered
 
     def _move(self, speed: Array) -> None:
         target = self.desired + speed * self._period_s
@@ -141,7 +128,8 @@ class ControlLaw:
         return Target(newer.q + share * (older.q - newer.q), newer.v + share * (older.v - newer.v))
 
     def _note_convergence(self) -> None:
-        assert self._reference is not None
+        if self._reference is None:
+            return
         limit = radians(self._settings.convergence_deg)
         error = np.abs(self._reference.q - self.desired).max()
         self.within_s = self.within_s + self._period_s if error <= limit else 0.0

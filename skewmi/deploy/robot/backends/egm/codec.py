@@ -31,6 +31,8 @@ _DATA, _CORRECTION = 2, 3
 _MM = 1e3
 _US_PER_S = 1_000_000
 _ROBOT_AXES = 6
+_NO_MORE_AXES = (0.0,) * 5
+"""A controller tells six external values, an arm of a YuMi has one (manual, p. 38)."""
 _CHAIN_FROM_WIRE = np.array([axis - 1 for axis in ABB_AXES])
 """Chain joint i is wire value `_CHAIN_FROM_WIRE[i]` of (1, 2, 3, 4, 5, 6, 7)."""
 _WIRE_FROM_CHAIN = np.argsort(_CHAIN_FROM_WIRE)
@@ -83,6 +85,7 @@ def encode_feedback(packet: FeedbackPacket) -> bytes:
         (message.planned, planned_q, packet.planned_flange),
     ):
         _set_joints(part, q)
+        part.externalJoints.joints.extend(_NO_MORE_AXES)
         if pose is not None:
             _set_pose(part.cartesian, pose)
         if packet.clock_us is not None:

@@ -1,7 +1,7 @@
-"""What the RAPID program asks of the controller: the same numbers on both sides.
+"""What program and configuration ask of the controller: the same numbers on both sides.
 
-`rapid/SkewmiEgm.mod` sets these; the bridge reckons with them and the emulator obeys them. A test
-keeps the module's text and the defaults here equal.
+`rapid/` sets these; the bridge reckons with them and the emulator obeys them. A test keeps the
+texts there and the defaults here equal. "Manual" is ABB's 3HAC073318 of RobotWare 7.16.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ _RANGES = {
     "gain": (0.0, 20.0),
     "low_pass_hz": (0.1, 100.0),
     "ramp_in_s": (0.005, 10.0),
+    "ramp_out_s": (0.005, 10.0),
     "comm_timeout_s": (0.02, 60.0),
     "cond_time_s": (0.0, 1e9),
     "convergence_deg": (0.0, 360.0),
@@ -25,32 +26,36 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class ProgramSettings:
-    """Arguments of EGMSetupUC, EGMActJoint and EGMRunJoint, and a system parameter.
+    """Arguments of EGMSetupUC, EGMActJoint and EGMRunJoint, and system parameters.
 
     Raises:
         ConfigurationError: A value is outside of what ABB allows.
     """
 
     gain: float = 20.0
-    """`\\PosCorrGain`, 1/s, 0..20 (ABB's default: 5): speed = gain * error + speed reference."""
+    """Default Proportional Position Gain, 1/s, 0..20 (ABB's default: 5), times `\\PosCorrGain`
+    (0..1, default 1): k in speed = k * error + speed reference (manual, p. 26)."""
     low_pass_hz: float = 20.0
-    """`\\LpFilter`, Hz, up to 100 (ABB's default: 20): of what comes in."""
+    """`\\LpFilter`, Hz, up to 100 (ABB's default: 20): of the speed that comes of it (p. 29)."""
     ramp_in_s: float = 0.1
-    """`\\RampInTime`, s, 0.005..10 (ABB's default: 0.5): from the start to full tracking."""
+    """`\\RampInTime`, s, 0.005..10: from the start of a session to full tracking (p. 72)."""
+    ramp_out_s: float = 0.1
+    """Default Ramp Time, s, 0.005..10 (ABB's default: 0.5): in which the speed goes to zero when
+    a session ends (p. 46)."""
     comm_timeout_s: float = 0.1
-    """`\\CommTimeout`, s (ABB's default: 1): so long without an answer ends the session."""
+    """`\\CommTimeout`, s (usual: 1): so long without an answer ends the session."""
     cond_time_s: float = 3600.0
     """`\\CondTime`, s (ABB's default: 1): so long within the convergence limits ends it, too."""
     convergence_deg: float = 0.001
     """Half-width of `egm_minmax`, deg (ABB's default: 0.5)."""
     max_speed_deviation_deg_s: float = 90.0
     """`\\MaxSpeedDeviation`, deg/s (ABB's default: 1): beyond it all joints are slowed down by one
-    factor. It must not exceed the slowest axis (180 deg/s)."""
+    factor (p. 52). ABB's own programs keep it below the slowest axis, 180 deg/s."""
     max_position_deviation_deg: float = 1000.0
     """`\\MaxPosDeviation`, deg (ABB's default: 1000): from where the session began."""
     do_not_restart_after_motors_off: bool = True
     """The system parameter of that name (ABB's default: False): with False, corrections go on in
-    the same session when motors that went off come on again."""
+    the same session when motors that went off come on again (p. 44)."""
 
     def __post_init__(self) -> None:
         for name, (low, high) in _RANGES.items():
@@ -63,13 +68,14 @@ class ProgramSettings:
     def runs_on_s(self, feed_forward: float) -> float:
         """How far the arm runs on if no reference comes any more, as time at its present speed.
 
-        The controller keeps both parts of the last reference: its desired position approaches
-        ref + speed_ref / k, until `\\CommTimeout` ends the session:
+        The controller keeps both parts of the last reference. Its desired position d approaches
+        ref + f v / k, until `\\CommTimeout` T ends the session; then what is left of the speed
+        goes to zero in the ramp-out time R:
 
-            d(t) - ref = f v / k (1 - exp(-k t)),   at k = 0: f v t
+            d - ref = f v ((1 - exp(-k T)) / k + exp(-k T) R / 2)
 
-        with f the fraction of the speed that was sent as speed reference. Beyond this the arm
-        only needs what it takes to stop.
+        with f the fraction of the speed v that was sent as speed reference. For k = 0 the first
+        term is T.
 
         Args:
             feed_forward: f, 0..1.
@@ -77,6 +83,6 @@ class ProgramSettings:
         Returns:
             s; times the speed of a joint or of the flange it is the distance.
         """
-        if self.gain == 0.0:
-            return feed_forward * self.comm_timeout_s
-        return feed_forward / self.gain * (1.0 - exp(-self.gain * self.comm_timeout_s))
+        left = exp(-self.gain * self.comm_timeout_s)
+        first = (1.0 - left) / self.gain if self.gain > 0.0 else self.comm_timeout_s
+        return feed_forward * (first + left * self.ramp_out_s / 2.0)
