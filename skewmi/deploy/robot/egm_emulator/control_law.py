@@ -24,8 +24,8 @@ import numpy as np
 
 from skewmi.deploy.robot.backends.egm.packets import ReferencePacket
 from skewmi.deploy.robot.backends.egm.program import ProgramSettings
-from skewmi.policy_io import Array
 from skewmi.robot_models import yumi
+from skewmi.trajectory import Array
 
 
 class Target(NamedTuple):

@@ -12,8 +12,8 @@ from typing import Protocol
 from skewmi.deploy.robot.egm_emulator.control_law import Target
 from skewmi.deploy.robot.egm_emulator.emulated_arm import EmulatedArm
 from skewmi.deploy.robot.egm_emulator.wires import Wires
-from skewmi.policy_io import Array
 from skewmi.robot_models.yumi import Side
+from skewmi.trajectory import Array
 
 
 class Plant(Protocol):

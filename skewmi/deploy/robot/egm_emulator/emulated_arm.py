@@ -28,11 +28,11 @@ from skewmi.deploy.robot.egm_emulator.controller_states import (
     rapid_of,
 )
 from skewmi.deploy.state_machine import StateMachine, Transition
-from skewmi.policy_io import Array
 from skewmi.robot_models import yumi
 from skewmi.robot_models.frames import quaternion_from_rotation
 from skewmi.robot_models.kinematics import ArmKinematics
 from skewmi.robot_models.yumi import Side
+from skewmi.trajectory import Array
 
 PREPARING_S = 0.2
 """MoveAbsJ, EGMGetId, EGMSetupUC and EGMActJoint of an arm that stands at its fine point already;

@@ -21,8 +21,8 @@ from skewmi.deploy.robot.backends.egm.packets import (
     ReferencePacket,
 )
 from skewmi.errors import SkewmiError
-from skewmi.policy_io import Array
 from skewmi.robot_models.yumi import ABB_AXES
+from skewmi.trajectory import Array
 
 MAX_DATAGRAM = 1472
 """Bytes: what fits into one Ethernet frame. Controllers send some 400, RobotWare 7 up to 900."""

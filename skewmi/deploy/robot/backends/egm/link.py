@@ -11,6 +11,7 @@ import socket
 import struct
 import sys
 import time
+from collections.abc import Callable
 from types import TracebackType
 from typing import NamedTuple
 
@@ -79,12 +80,16 @@ class UdpLink:
 
     Args:
         listen: Address and port to bind; port 0 takes a free one.
+        now_ns: The monotonic clock; tests have their own.
 
     Raises:
         TransportError: It cannot be bound.
     """
 
-    def __init__(self, listen: tuple[str, int]) -> None:
+    def __init__(
+        self, listen: tuple[str, int], now_ns: Callable[[], int] = time.monotonic_ns
+    ) -> None:
+        self.now_ns = now_ns
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
@@ -128,7 +133,7 @@ class UdpLink:
 
     def drain(self) -> list[Datagram]:
         """What has come, oldest first, but no more than `DRAINED_AT_ONCE`."""
-        now_ns, now_real_ns = time.monotonic_ns(), time.time_ns()
+        now_ns, now_real_ns = self.now_ns(), time.time_ns()
         datagrams: list[Datagram] = []
         for _ in range(DRAINED_AT_ONCE):
             try:

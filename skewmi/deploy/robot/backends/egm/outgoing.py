@@ -13,8 +13,8 @@ from math import degrees
 
 from skewmi.deploy.robot.backends.egm.packets import ReferencePacket
 from skewmi.errors import LimitViolationError
-from skewmi.policy_io import Array
 from skewmi.robot_models.yumi import ABB_AXES, JOINT_RANGES
+from skewmi.trajectory import Array
 
 _ROUNDING = 1e-9
 """rad: a joint at the very end of its range passes."""

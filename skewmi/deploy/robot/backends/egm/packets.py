@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from skewmi.policy_io import Array
+from skewmi.trajectory import Array
 
 
 class Motors(Enum):

@@ -1,0 +1,372 @@
+"""An arm's channel against a controller written by hand: which packets are answered, and how."""
+
+from __future__ import annotations
+
+import math
+import socket
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from egm_controller import HandController
+from egm_wire import MCI_STOPPED, MOTORS_OFF, RAPID_STOPPED
+
+from skewmi.deploy.robot.backends.egm.channel import ArmChannel, Taken
+from skewmi.deploy.robot.backends.egm.link import UdpLink
+from skewmi.deploy.robot.backends.egm.motion import DelayEstimate, SpeedEstimate
+from skewmi.deploy.robot.backends.egm.states import EgmState
+
+RAMP_NS = 20_000_000
+HOME_CHAIN = [0.0, -130.0, -135.0, 30.0, 0.0, 40.0, 0.0]
+
+
+class Clock:
+    """The bridge's clock: it goes on with the controller's packets, however slow this machine."""
+
+    def __init__(self) -> None:
+        self.time_ns = 1_000_000_000
+
+    def __call__(self) -> int:
+        return self.time_ns
+
+    def wait(self, seconds: float) -> None:
+        self.time_ns += int(1e9 * seconds)
+
+
+class Controller(HandController):
+    """Each of its packets comes a cycle after the one before it."""
+
+    def __init__(self, bridge: tuple[str, int], clock: Clock) -> None:
+        super().__init__(bridge)
+        self.clock = clock
+
+    def bytes_of(self, **changes: object) -> bytes:
+        self.clock.wait(0.004032)
+        return super().bytes_of(**changes)
+
+
+@pytest.fixture
+def channel() -> Iterator[ArmChannel]:
+    with UdpLink(("127.0.0.1", 0), Clock()) as link:
+        yield ArmChannel(link, RAMP_NS)
+
+
+@pytest.fixture
+def controller(channel: ArmChannel) -> Iterator[Controller]:
+    clock = channel.link.now_ns
+    assert isinstance(clock, Clock)
+    with Controller(channel.link.address, clock) as opened:
+        yield opened
+
+
+def take(channel: ArmChannel) -> Taken | None:
+    """What comes within a second."""
+    channel.link.wait(1_000_000_000)
+    return channel.take()
+
+
+def guided(channel: ArmChannel, controller: Controller) -> None:
+    """Run a session until the ramp is over."""
+    for _ in range(8):
+        controller.send()
+        assert take(channel) is not None
+        channel.hold()
+        controller.collect(1.0)
+    assert channel.readiness() is None
+
+
+def test_the_first_packet_is_answered_with_its_own_feedback(
+    channel: ArmChannel, controller: Controller
+) -> None:
+    controller.send()
+    taken = take(channel)
+    assert taken is not None
+    assert taken.begins
+    channel.hold()
+    (answer,) = controller.collect(1.0)
+    assert answer.chain() == pytest.approx(HOME_CHAIN, abs=1e-9)
+    assert answer.speeds == []
+
+
+def test_one_packet_one_answer(channel: ArmChannel, controller: Controller) -> None:
+    controller.send()
+    take(channel)
+    channel.hold()
+    channel.hold()
+    channel.answer(np.zeros(7), None)
+    assert len(controller.collect(0.5)) == 1
+    assert controller.collect(0.005) == []
+
+
+def test_only_the_newest_of_a_burst_is_answered(
+    channel: ArmChannel, controller: Controller
+) -> None:
+    guided(channel, controller)
+    for _ in range(5):
+        controller.send()
+    time.sleep(0.02)
+    taken = take(channel)
+    assert taken is not None
+    assert taken.skipped == 4
+    assert taken.packet.sequence == controller.sequence - 1
+    channel.hold()
+    assert len(controller.collect(1.0)) == 1
+    assert channel.watch.statistics.missed == 0
+
+
+def test_duplicates_and_overtaken_packets_are_not_answered(
+    channel: ArmChannel, controller: Controller
+) -> None:
+    guided(channel, controller)
+    late = controller.bytes_of()
+    newest = controller.send()
+    assert take(channel) is not None
+    channel.hold()
+    assert len(controller.collect(1.0)) == 1
+    for data in (newest, newest, late):
+        controller.send_bytes(data)
+        assert take(channel) is None
+        channel.hold()
+    assert controller.collect(0.005) == []
+    assert channel.watch.statistics.ignored == 3
+    assert channel.readiness() is None
+
+
+def test_reordering_within_a_cycle_costs_nothing(
+    channel: ArmChannel, controller: Controller
+) -> None:
+    guided(channel, controller)
+    first, second = controller.bytes_of(), controller.bytes_of()
+    controller.send_bytes(second)
+    controller.send_bytes(first)
+    time.sleep(0.02)
+    taken = take(channel)
+    assert taken is not None
+    assert taken.packet.sequence == controller.sequence - 1
+    channel.hold()
+    assert len(controller.collect(1.0)) == 1
+
+
+def test_lost_packets_are_counted(channel: ArmChannel, controller: Controller) -> None:
+    guided(channel, controller)
+    controller.lose(3)
+    controller.send()
+    taken = take(channel)
+    assert taken is not None
+    assert taken.begins == ""
+    assert channel.watch.statistics.missed == 3
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"motors": MOTORS_OFF}, "motors"),
+        ({"rapid": RAPID_STOPPED}, "RAPID"),
+        ({"mci": MCI_STOPPED}, "EGM is not running"),
+    ],
+)
+def test_while_it_is_not_guided_the_reference_follows_the_arm(
+    channel: ArmChannel, controller: Controller, changes: dict[str, int], word: str
+) -> None:
+    guided(channel, controller)
+    for moved in (1.0, 2.0, 3.0):
+        controller.packet.axes = (moved, *controller.packet.axes[1:])
+        controller.send(**changes)
+        assert take(channel) is not None
+        channel.hold()
+        (answer,) = controller.collect(1.0)
+        assert answer.axes[0] == pytest.approx(moved)
+    assert word in str(channel.readiness())
+    controller.send()
+    taken = take(channel)
+    assert taken is not None
+    assert "from now on" in taken.begins
+    channel.hold()
+    assert controller.collect(1.0)[0].axes[0] == pytest.approx(3.0)
+    assert channel.watch.state is EgmState.RAMPING
+
+
+def test_a_guided_arm_is_held_where_its_session_began(
+    channel: ArmChannel, controller: Controller
+) -> None:
+    guided(channel, controller)
+    # It sags a little: the reference must not follow.
+    controller.packet.axes = (-0.5, *controller.packet.axes[1:])
+    controller.send()
+    take(channel)
+    channel.hold()
+    assert controller.collect(1.0)[0].axes[0] == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize("how", ["sequence", "new port", "gap"])
+def test_a_new_session_starts_from_its_own_feedback(
+    channel: ArmChannel, controller: Controller, how: str
+) -> None:
+    guided(channel, controller)
+    controller.packet.axes = (20.0, *controller.packet.axes[1:])
+    if how == "sequence":
+        controller.restart()
+    else:
+        controller.clock.wait(0.12)
+        if how == "new port":
+            controller.restart(new_port=True)
+    controller.send()
+    taken = take(channel)
+    assert taken is not None
+    assert taken.begins
+    channel.hold()
+    (answer,) = controller.collect(1.0)
+    assert answer.axes[0] == pytest.approx(20.0)
+    assert channel.watch.sessions == 2
+    assert "ramp" in str(channel.readiness())
+
+
+def test_another_sender_is_not_listened_to(channel: ArmChannel, controller: Controller) -> None:
+    guided(channel, controller)
+    with HandController(channel.link.address) as stranger:
+        stranger.sequence, stranger.cycles = controller.sequence, controller.cycles
+        stranger.send()
+        assert take(channel) is None
+        channel.hold()
+        assert stranger.collect(0.005) == []
+    controller.send()
+    assert take(channel) is not None
+    assert channel.readiness() is None
+
+
+def test_another_host_is_told(controller: Controller) -> None:
+    with UdpLink(("127.0.0.1", 0)) as link:
+        channel = ArmChannel(link, RAMP_NS, controller="192.168.125.1")
+        with HandController(link.address) as stranger:
+            stranger.send()
+            assert take(channel) is None
+        assert "127.0.0.1" in str(channel.readiness())
+        assert "192.168.125.1" in str(channel.readiness())
+
+
+def test_old_robotware_is_refused(channel: ArmChannel, controller: Controller) -> None:
+    controller.send(clock=None)
+    assert take(channel) is None
+    channel.hold()
+    assert controller.collect(0.005) == []
+    assert "6.07.01" in str(channel.readiness())
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, 400.0])
+def test_no_feedback_gets_something_wrong_out(
+    channel: ArmChannel, controller: Controller, value: float
+) -> None:
+    controller.packet.axes = (value, *controller.packet.axes[1:])
+    controller.send()
+    take(channel)
+    channel.hold()
+    assert controller.collect(0.005) == []
+    assert channel.readiness() is not None
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, 10.0])
+def test_no_plan_gets_something_wrong_out(
+    channel: ArmChannel, controller: Controller, value: float
+) -> None:
+    guided(channel, controller)
+    q = np.radians(HOME_CHAIN)
+    for part in range(2):
+        controller.send()
+        take(channel)
+        wrong, v = q.copy(), np.zeros(7)
+        (wrong if part == 0 else v)[3] = value
+        channel.answer(wrong, v)
+        assert controller.collect(0.005) == []
+        assert "no reference can be sent" in str(channel.readiness())
+    controller.send()
+    take(channel)
+    channel.answer(q, None)
+    assert len(controller.collect(1.0)) == 1
+    assert channel.readiness() is None
+
+
+def test_silence_is_told(channel: ArmChannel, controller: Controller) -> None:
+    guided(channel, controller)
+    controller.clock.wait(0.11)
+    assert channel.take() is None
+    assert "no packet" in str(channel.readiness())
+
+
+def flood(channel: ArmChannel, controller: Controller, count: int) -> None:
+    """Malformed datagrams of every kind, from the controller's own address and from others."""
+    rng = np.random.default_rng(11)
+    good = controller.bytes_of()
+    controller.sequence -= 1
+    controller.cycles -= 1
+    stranger = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sent = 0
+    while sent < count:
+        for _ in range(32):
+            kind = rng.integers(6)
+            data = bytearray(good)
+            if kind == 0:
+                data = bytearray(rng.bytes(int(rng.integers(0, 64))))
+            elif kind == 1:
+                data = data[: int(rng.integers(len(data)))]
+            elif kind == 2:
+                data[8 + int(rng.integers(len(data) - 8))] ^= int(rng.integers(1, 256))
+            elif kind == 3:
+                data = bytearray(rng.bytes(2000))
+            elif kind == 4:
+                data = bytearray()
+            else:
+                data += rng.bytes(int(rng.integers(1, 40)))
+            target = controller.socket if rng.random() < 0.5 else stranger
+            target.sendto(bytes(data), channel.link.address)
+            sent += 1
+        taken = channel.take()
+        controller.clock.wait(0.004)
+        if taken is not None:
+            assert np.isfinite(taken.packet.q).all()
+            channel.hold()
+    stranger.close()
+
+
+@pytest.mark.parametrize("count", [5_000, pytest.param(1_000_000, marks=pytest.mark.slow)])
+def test_malformed_datagrams_do_nothing_but_be_told(
+    channel: ArmChannel, controller: Controller, count: int
+) -> None:
+    flood(channel, controller, count)
+    while channel.take() is not None or channel.link.wait(1_000_000):
+        pass
+    assert channel.watch.unusable > 0.5 * count / 3
+    # What did not look malformed was a packet with another value in it; none left the range.
+    for answer in controller.collect():
+        assert all(math.isfinite(value) for value in answer.chain())
+        assert all(abs(value) <= 290.0 for value in answer.chain())
+    controller.clock.wait(0.11)
+    channel.take()
+    assert channel.readiness() is not None
+    controller.sequence, controller.cycles = 0, controller.cycles + 1000
+    guided(channel, controller)
+
+
+def test_speed_is_taken_from_positions() -> None:
+    estimate = SpeedEstimate()
+    rng = np.random.default_rng(2)
+    v = rng.uniform(-1, 1, 7)
+    for number in range(20):
+        speed = estimate.add(number * 4.032e6, v * number * 0.004032)
+    np.testing.assert_allclose(speed, v, atol=1e-9)
+    estimate.forget()
+    np.testing.assert_array_equal(estimate.add(0.0, v), np.zeros(7))
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.010, 0.035])
+def test_delay_is_found_from_a_motion(delay_s: float) -> None:
+    estimate, dt = DelayEstimate(), 0.004032
+    assert estimate.delay_s is None
+    amplitude = np.linspace(0.05, 0.2, 7)
+    for number in range(1000):
+        t = number * dt
+        commanded = amplitude * math.sin(2.0 * t)
+        v = 2.0 * amplitude * math.cos(2.0 * t)
+        measured = amplitude * math.sin(2.0 * (t - delay_s))
+        estimate.add(commanded, v, measured, dt)
+    assert estimate.delay_s == pytest.approx(delay_s, abs=5e-4)
