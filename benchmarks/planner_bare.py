@@ -145,7 +145,7 @@ class BareCalls:
             part[:, self._columns] = samples
         with times.of("pinocchio"):
             self._pinocchio(*full)
-        self._joints.restore(chunk.point(CYCLE_TICKS))
+        self._joints.point = chunk.point(CYCLE_TICKS)
         with times.of("stop"):
             stop = self._joints.stop()
             stop.sample(GRID_S)

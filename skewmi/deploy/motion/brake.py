@@ -32,12 +32,12 @@ class Stop:
 
     start_s: Array
     """Seconds from now. Shape (4, m)."""
-    q: Array
-    """Position. Shape (4, m)."""
-    v: Array
-    """Velocity; zero in the last row. Shape (4, m)."""
-    a: Array
-    """Acceleration; zero in the last row. Shape (4, m)."""
+    position: Array
+    """Shape (4, m)."""
+    velocity: Array
+    """Zero in the last row. Shape (4, m)."""
+    acceleration: Array
+    """Zero in the last row. Shape (4, m)."""
     jerk: Array
     """During the phase; zero in the last row. Shape (4, m)."""
 
@@ -46,26 +46,26 @@ class Stop:
         """Seconds until the slowest axis is at rest."""
         return float(self.start_s[3].max())
 
-    def sample(self, grid_dt: float) -> tuple[Array, Array, Array]:
+    def sample(self, grid_dt: float) -> Array:
         """The stop on a time grid, first sample one grid step from now.
 
         Returns:
-            Position, velocity, acceleration, each of shape (n, m), n >= 1; in the last sample
-            every axis is at rest exactly.
+            Position, velocity, acceleration. Shape (3, n, m), n >= 1; in the last sample every
+            axis is at rest exactly.
         """
         n = max(1, int(np.ceil(self.duration / grid_dt - 1e-9)))
         t = grid_dt * np.arange(1, n + 1)[:, None]
         phase = (t[..., None] >= self.start_s[1:].T - 1e-12).sum(axis=-1)
         phase[-1] = 3
-        axis = np.arange(self.q.shape[1])
+        axis = np.arange(self.position.shape[1])
         s = t - self.start_s[phase, axis]
-        q, v, a = self.q[phase, axis], self.v[phase, axis], self.a[phase, axis]
-        j = self.jerk[phase, axis]
-        return (
-            q + s * (v + s * (a / 2.0 + s * (j / 6.0))),
-            v + s * (a + s * (j / 2.0)),
-            a + s * j,
-        )
+        q, v = self.position[phase, axis], self.velocity[phase, axis]
+        a, j = self.acceleration[phase, axis], self.jerk[phase, axis]
+        samples = np.empty((3, *s.shape))
+        samples[0] = q + s * (v + s * (a / 2.0 + s * (j / 6.0)))
+        samples[1] = v + s * (a + s * (j / 2.0))
+        samples[2] = a + s * j
+        return samples
 
     def extent(self) -> tuple[Array, Array]:
         """Lowest and highest position on the way, between grid points too.
@@ -73,14 +73,14 @@ class Stop:
         Returns:
             Low and high, each of shape (m,).
         """
-        v0, a0, j0 = self.v[0], self.a[0], self.jerk[0]
+        v0, a0, j0 = self.velocity[0], self.acceleration[0], self.jerk[0]
         # The velocity changes its sign at most once, in the first phase: where a strong
         # acceleration against a small velocity has to be undone.
         root = np.sqrt(np.maximum(a0 * a0 - 2.0 * j0 * v0, 0.0))
         turn = (-a0 - np.sign(j0) * root) / np.where(j0 == 0.0, 1.0, j0)
         turn = np.clip(turn, 0.0, self.start_s[1])
-        turned = self.q[0] + turn * (v0 + turn * (a0 / 2.0 + turn * (j0 / 6.0)))
-        corners = np.stack([self.q[0], turned, self.q[3]])
+        turned = self.position[0] + turn * (v0 + turn * (a0 / 2.0 + turn * (j0 / 6.0)))
+        corners = np.stack([self.position[0], turned, self.position[3]])
         return corners.min(axis=0), corners.max(axis=0)
 
 

@@ -56,7 +56,8 @@ class JointShaper:
         self._input.synchronization = ruckig.Synchronization.Phase
         self._input.max_acceleration = self.acceleration.tolist()
         self._input.max_jerk = self.jerk.tolist()
-        self.q, self.v, self.a = np.zeros(joints), np.zeros(joints), np.zeros(joints)
+        self.point = JointPoint(np.zeros(joints), np.zeros(joints), np.zeros(joints))
+        """The present state. The arrays are not written to."""
 
     @property
     def lag_steps(self) -> int:
@@ -78,22 +79,13 @@ class JointShaper:
         Returns:
             1/s.
         """
-        delay = float((np.abs(self.v) * self._per_acceleration + self._ramp).max())
+        delay = float((np.abs(self.point.v) * self._per_acceleration + self._ramp).max())
         return min(largest, FEEDBACK_PHASE / delay)
-
-    @property
-    def point(self) -> JointPoint:
-        """The present state. The arrays are not written to afterwards."""
-        return JointPoint(self.q, self.v, self.a)
-
-    def restore(self, point: JointPoint) -> None:
-        """Go on from another state."""
-        self.q, self.v, self.a = (part.copy() for part in point)
 
     def velocity_bounds(self) -> tuple[Array, Array]:
         """Lowest and highest velocity to aim for here; zero lies between. Each (7,), rad/s."""
-        np.subtract(self.q, self.lower, out=self._room[0])
-        np.subtract(self.upper, self.q, out=self._room[1])
+        np.subtract(self.point.q, self.lower, out=self._room[0])
+        np.subtract(self.upper, self.point.q, out=self._room[1])
         down, up = np.minimum(self.velocity, self._approach(self._room))
         return -down, up
 
@@ -105,13 +97,14 @@ class JointShaper:
             low: From `velocity_bounds`; `wanted` is clipped to them.
             high: Likewise.
         """
-        self._input.current_position = self.q.tolist()
-        self._input.current_velocity = self.v.tolist()
-        self._input.current_acceleration = self.a.tolist()
+        q, v, a = self.point
+        self._input.current_position = q.tolist()
+        self._input.current_velocity = v.tolist()
+        self._input.current_acceleration = a.tolist()
         self._input.target_velocity = np.minimum(np.maximum(wanted, low), high).tolist()
         self._otg.calculate(self._input, self._trajectory)
-        self.q, self.v, self.a = np.array(self._trajectory.at_time(GRID_S))
+        self.point = JointPoint(*np.array(self._trajectory.at_time(GRID_S)))
 
     def stop(self) -> Stop:
         """The fastest stop from here."""
-        return plan_stop(self.q, self.v, self.a, self.acceleration, self.jerk)
+        return plan_stop(*self.point, self.acceleration, self.jerk)

@@ -135,7 +135,7 @@ class Planner:
                 f"by {np.degrees(tilt):.1f} deg; at most {1e3 * self._tolerance:.1f} mm and "
                 f"{np.degrees(MAX_START_TILT):.1f} deg are allowed; move to the start first"
             )
-        self._joints.restore(JointPoint(q, _REST, _REST))
+        self._joints.point = JointPoint(q, _REST, _REST)
         self._ik.reset()
         self._reseed(position, np.zeros(3))
         self._reference = Reference(self._hand.position_w)
@@ -208,7 +208,7 @@ class Planner:
 
     def _grid_step(self) -> None:
         joints, hand = self._joints, self._hand
-        at = self._ik.place(joints.q) + self._base
+        at = self._ik.place(joints.point.q) + self._base
         due_w = self._shaped[0]
         self._reference.advance(GRID_S)
         hand.step(self._reference, at, LEASH)
@@ -221,7 +221,7 @@ class Planner:
     def _resume(self, chunk: JointTrajectory, index: int) -> None:
         """Continue from a sample of a chunk, and command the hand where it then is."""
         point = chunk.point(index)
-        self._joints.restore(point)
+        self._joints.point = point
         velocity = self._kinematics.jacobian(point.q)[:3] @ point.v
         self._reseed(self.forward(point.q)[0], velocity)
 

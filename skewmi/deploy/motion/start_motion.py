@@ -61,9 +61,8 @@ class StartMotion:
         self._acceleration = HEADROOM * float((limits.acceleration / share).min())
         self._jerk = HEADROOM * float((limits.jerk / share).min())
         self._s = self._sample()
-        q, v, a = self._on_line(self._s)
-        q[-1] = end
-        self.trajectory = JointTrajectory(q, v, a)
+        self.trajectory = self._on_line(self._s)
+        self.trajectory.q[-1] = end
         """The whole motion."""
 
     @property
@@ -85,10 +84,10 @@ class StartMotion:
         stop = plan_stop(
             s, rate, acceleration, np.array([self._acceleration]), np.array([self._jerk])
         )
-        q, v, a = self._on_line(np.column_stack(stop.sample(GRID_S)))
+        tail = self._on_line(stop.sample(GRID_S)[..., 0].T)
         if rows[-1] == last:
-            q[:] = self.trajectory.q[-1]
-        return JointTrajectory.concatenate(self.trajectory.part(rows), JointTrajectory(q, v, a))
+            tail.q[:] = self.trajectory.q[-1]
+        return JointTrajectory.concatenate(self.trajectory.part(rows), tail)
 
     def chunks(self) -> Iterator[JointTrajectory]:
         """All chunks in order."""
@@ -108,10 +107,10 @@ class StartMotion:
         samples[-1] = 1.0, 0.0, 0.0
         return samples
 
-    def _on_line(self, s: Array) -> tuple[Array, Array, Array]:
-        """Joint positions, velocities, accelerations of rows (s, ds/dt, d2s/dt2); each (n, 7)."""
+    def _on_line(self, s: Array) -> JointTrajectory:
+        """The arm's motion of rows (s, ds/dt, d2s/dt2), shape (n, 3)."""
         q = self._start + s[:, :1] * self._line
-        return q, s[:, 1:2] * self._line, s[:, 2:3] * self._line
+        return JointTrajectory(q, s[:, 1:2] * self._line, s[:, 2:3] * self._line)
 
 
 def _require_inside(name: str, q: Array, limits: JointLimits) -> None:

@@ -6,7 +6,7 @@ Numbers are from the Skew-Explore "yumi_door_button" environment unless a commen
 from __future__ import annotations
 
 from skewmi.robot_models import yumi
-from skewmi.trajectory import GRID_S
+from skewmi.trajectory import CYCLE_TICKS, GRID_S
 
 SIM_DT = GRID_S
 """Time step of the physics, s: the grid of the robot's own command interface."""
@@ -14,7 +14,7 @@ CONTROL_DT = 0.1
 """Time between two actions, s. The original takes 1 s; its arm is a hundred times lighter."""
 SUBSTEPS = 25
 """Physics steps per control step."""
-WATCH_SUBSTEPS = 5
+WATCH_SUBSTEPS = CYCLE_TICKS
 """Physics steps between two looks at whether the hand follows its command: 20 ms, a cycle of the
 deployed planner."""
 
