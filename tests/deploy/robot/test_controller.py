@@ -1,64 +1,24 @@
-"""The robot server without its wires, on the real simulated robot: states, execution, refusals."""
+"""The robot server without its wires, on the real simulated robot: states, execution, faults."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from lone_motions import (
+    OURS,
+    assert_within_limits,
+    motion_from,
+    start_motion,
+    start_moving,
+)
 from lone_robot import LoneRobot
 
-from skewmi.deploy.motion.start_motion import StartMotion
 from skewmi.deploy.robot.backend import BackendFaultError, RobotState
-from skewmi.deploy.robot.backends.mujoco.backend import MujocoBackend
 from skewmi.deploy.robot.backends.mujoco.simulation import ArmSimulation
 from skewmi.deploy.robot.controller import LEASE_NS
-from skewmi.deploy.robot.executor import PlanExecutor
-from skewmi.deploy.robot.refusals import Refusal
 from skewmi.deploy.robot.states import ServerState
-from skewmi.deploy.safety.validation import MAX_CHUNK_BYTES, ValidationRules
-from skewmi.deploy.wire.messages import JointStates
-from skewmi.errors import CommandRefusedError, NotFoundError
-from skewmi.robot_models import limits as joint_limits
-from skewmi.trajectory import GRID_NS, JointPoint, JointTrajectory
-
-LAB = joint_limits.profile("lab")
-OURS, OTHER, GRIPPER = b"a" * 16, b"b" * 16, b"g" * 16
-
-
-@pytest.fixture(scope="module")
-def simulation() -> ArmSimulation:
-    return ArmSimulation()
-
-
-@pytest.fixture
-def robot(simulation: ArmSimulation) -> LoneRobot:
-    simulation.reset(seed=0)
-    return LoneRobot(MujocoBackend(simulation, lock_step=True), LAB)
-
-
-def start_motion(robot: LoneRobot, size: float = 0.03) -> StartMotion:
-    start = robot.commanded
-    return StartMotion(start, start + size * np.array([1, -0.5, 0, 0.5, 0, 1, 0]), LAB)
-
-
-def motion_from(robot: LoneRobot, size: float = 0.03) -> JointTrajectory:
-    return start_motion(robot, size).trajectory
-
-
-def start_moving(robot: LoneRobot, size: float = 0.03) -> JointTrajectory:
-    motion = motion_from(robot, size)
-    robot.requests.arm(OURS + GRIPPER, 0)
-    assert robot.controller.receive(robot.payload(motion, robot.due + 3), OURS, 1, 0)
-    return motion
-
-
-def assert_within_limits(q: np.ndarray) -> None:
-    """By differences of commanded positions on the grid: what a servo sees."""
-    h = GRID_NS / 1e9
-    for order, bound in ((1, LAB.velocity), (2, LAB.acceleration), (3, LAB.jerk)):
-        peak = np.abs(np.diff(q, n=order, axis=0)).max(axis=0) / h**order
-        assert (peak <= bound * (1 + 1e-6)).all(), (order, peak / bound)
+from skewmi.errors import CommandRefusedError
+from skewmi.trajectory import GRID_NS, JointPoint
 
 
 def test_disarmed_robot_holds_still_and_refuses(robot: LoneRobot) -> None:
@@ -116,36 +76,6 @@ def test_stop_brakes_within_limits_and_disarms(robot: LoneRobot, when: int) -> N
     q = np.array([t.q for t in robot.targets])
     assert_within_limits(q)
     assert np.ptp(q[-10:], axis=0).max() == 0.0
-
-
-def test_second_commander_is_refused_with_the_reason(robot: LoneRobot) -> None:
-    start_moving(robot)
-    motion = motion_from(robot)
-    assert not robot.controller.receive(robot.payload(motion, robot.due + 50), OTHER, 1, 0)
-    assert "is not the commander" in robot.refusals()[0].reason
-    with pytest.raises(CommandRefusedError, match="holds the arm"):
-        robot.requests.arm(OTHER, 0)
-    assert robot.controller.state is ServerState.EXECUTING
-
-
-def test_arming_without_gids_makes_the_first_valid_sender_the_commander(
-    robot: LoneRobot,
-) -> None:
-    robot.requests.arm(b"", 0)
-    motion = motion_from(robot)
-    assert robot.controller.receive(robot.payload(motion, 3), OTHER, 9, 0)
-    assert not robot.controller.receive(robot.payload(motion, 60), OURS, 10, 0)
-
-
-def test_silent_commander_loses_the_arm(robot: LoneRobot) -> None:
-    start_moving(robot)
-    robot.run(60, now_ns=LEASE_NS)
-    assert robot.controller.state is ServerState.HOLDING
-    robot.run(1, now_ns=LEASE_NS + 1)
-    assert robot.controller.state is ServerState.DISARMED
-    assert "no command for 2 s" in robot.controller.machine.reason
-    robot.requests.arm(OTHER, LEASE_NS + 2)
-    assert robot.controller.state is ServerState.HOLDING
 
 
 def test_older_chunk_does_not_overwrite_a_newer_one(robot: LoneRobot) -> None:
@@ -293,100 +223,6 @@ def test_a_motion_that_was_dropped_delays_no_other(robot: LoneRobot) -> None:
     assert robot.controller.receive(robot.payload(motion, robot.due), OURS, 2, 0)
 
 
-def test_silence_is_noticed_before_what_comes_after_it(robot: LoneRobot) -> None:
-    """The robot server itself may have been frozen: what was sent meanwhile waits for it."""
-    motion = motion_from(robot)
-    robot.requests.arm(OURS, 0)
-    late = LEASE_NS + 1
-    assert not robot.controller.receive(robot.payload(motion, robot.due + 3), OURS, 1, late)
-    assert robot.controller.state is ServerState.DISARMED
-    start_moving(robot)
-    robot.run(10)
-    with pytest.raises(CommandRefusedError, match="stopping"):
-        robot.requests.arm(OTHER, late)
-    assert robot.controller.state is ServerState.STOPPING
-
-
-def test_arming_again_shows_that_one_is_there(robot: LoneRobot) -> None:
-    robot.requests.arm(OURS + GRIPPER, 0)
-    robot.requests.arm(OURS + OTHER, LEASE_NS)
-    robot.run(1, 2 * LEASE_NS)
-    assert robot.controller.state is ServerState.HOLDING
-    robot.requests.open_gripper(0.01, OTHER)
-    robot.run(1, 2 * LEASE_NS + 1)
-    assert robot.controller.state is ServerState.DISARMED
-
-
-def test_strangers_cost_little(robot: LoneRobot, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing of their messages is decoded, and nothing long of anybody's."""
-    start_moving(robot)
-    decoded = []
-    monkeypatch.setattr(
-        "skewmi.deploy.robot.controller.decode_chunk", lambda data: decoded.append(data)
-    )
-    assert not robot.controller.receive(b"anything", OTHER, 2, 0)
-    assert not robot.controller.receive(bytes(MAX_CHUNK_BYTES + 1), OURS, 2, 0)
-    assert decoded == []
-    stranger, ours = robot.refusals()
-    assert "not the commander" in stranger.reason
-    assert "at most" in ours.reason
-    monkeypatch.undo()
-    for sequence in range(100):
-        robot.controller.receive(b"x", OTHER, sequence, 0)
-        robot.controller.receive(b"x", OURS, sequence, 0)
-    assert robot.controller.refusals.count == 202
-    kept = robot.refusals()
-    assert sum(refusal.of_commander for refusal in kept) == 100
-    assert len(kept) <= 132
-
-
-@pytest.mark.parametrize("text", ["\x1b[2J[/bold] over\n\u202eand out", "a" * 100_000])
-def test_what_strangers_say_is_told_in_one_short_line(robot: LoneRobot, text: str) -> None:
-    start_moving(robot)
-    robot.run(10)
-    robot.requests.stop(text)
-    robot.controller.refusals.note(Refusal(text))
-    for told in (robot.controller.machine.reason, robot.refusals()[0].reason):
-        assert len(told) < 400
-        assert told.isprintable()
-        assert text[5:20].isprintable() is False or text[5:20] in told
-
-
-def test_the_longest_chunk_is_not_too_long(robot: LoneRobot) -> None:
-    longest = JointTrajectory.resting(np.zeros(7), ValidationRules.max_points)
-    assert len(robot.payload(longest, 0)) < MAX_CHUNK_BYTES
-
-
-def test_gripper_commands_name_their_joint(robot: LoneRobot) -> None:
-    robot.requests.arm(OURS, 0)
-    finger, nothing = robot.backend.state_names[7], np.zeros(0)
-    for names in ((), ("yumi_joint_1_r",), (finger, "yumi_joint_1_r")):
-        command = JointStates(
-            robot.controller.clock_ns, names, np.full(len(names), 0.02), nothing, nothing
-        )
-        with pytest.raises(CommandRefusedError, match=f"that of {finger}, is expected"):
-            robot.requests.follow_gripper(command, GRIPPER, 1)
-    with pytest.raises(CommandRefusedError, match="outside"):
-        robot.requests.open_gripper(1.0, OTHER)
-    assert robot.controller.lease.gripper_holder is None, "who said nonsense is no commander"
-    command = JointStates(robot.controller.clock_ns, (finger,), np.array([0.02]), nothing, nothing)
-    robot.requests.follow_gripper(command, GRIPPER, 1)
-    assert robot.controller.lease.gripper_holder == GRIPPER
-
-
-def test_a_scene_that_somebody_works_in_is_not_reset(robot: LoneRobot) -> None:
-    robot.requests.arm(OURS, 0)
-    robot.requests.reset_scene(1)
-    motion = motion_from(robot)
-    assert robot.controller.receive(robot.payload(motion, robot.due + 3), OURS, 1, 0)
-    robot.run(len(motion.q) + 10)
-    assert robot.controller.state is ServerState.HOLDING
-    with pytest.raises(CommandRefusedError, match="works in the scene"):
-        robot.requests.reset_scene(1)
-    robot.requests.disarm(OURS)
-    robot.requests.reset_scene(1)
-
-
 def test_a_physics_fault_that_was_acknowledged_is_over(
     robot: LoneRobot, simulation: ArmSimulation
 ) -> None:
@@ -399,68 +235,3 @@ def test_a_physics_fault_that_was_acknowledged_is_over(
     robot.requests.stop("test")
     robot.run(5)
     assert robot.controller.state is ServerState.DISARMED
-
-
-def test_scene_resets_at_rest_only(robot: LoneRobot, simulation: ArmSimulation) -> None:
-    start_moving(robot)
-    robot.run(10)
-    with pytest.raises(CommandRefusedError, match="moving"):
-        robot.requests.reset_scene(1)
-    robot.run(60)
-    robot.requests.disarm(OURS)
-    simulation._data.qpos[simulation.scene.scene_qpos[0]] = 1.0
-    robot.requests.reset_scene(1)
-    assert simulation.scene_state().position[0] == 0.0
-    measured = simulation.robot_state(0).position[:7]
-    assert robot.commanded == pytest.approx(measured, abs=1e-12)
-
-
-def test_gripper_obeys_the_commander_only(robot: LoneRobot) -> None:
-    with pytest.raises(CommandRefusedError, match="arm it first"):
-        robot.requests.open_gripper(0.01, GRIPPER)
-    robot.requests.arm(OURS + GRIPPER, 0)
-    with pytest.raises(CommandRefusedError, match="not the gripper's commander"):
-        robot.requests.open_gripper(0.01, OTHER)
-    for wrong in (-0.001, 0.026, float("nan")):
-        with pytest.raises(CommandRefusedError, match="outside"):
-            robot.requests.open_gripper(wrong, GRIPPER)
-    robot.requests.open_gripper(0.02, GRIPPER)
-    robot.run(300)
-    assert robot.measured[7] == pytest.approx(0.02, abs=1e-3)
-
-
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=200)
-@given(data=st.binary(max_size=300))
-def test_bytes_that_are_no_chunk_change_nothing(robot: LoneRobot, data: bytes) -> None:
-    robot.requests.arm(OURS, 0)
-    assert not robot.controller.receive(data, OURS, 1, 0)
-    assert not robot.controller.receive(b"\x00\x01\x00\x00" + data, OURS, 2, 0)
-    assert robot.controller.state is ServerState.HOLDING
-    assert robot.controller.at_rest
-
-
-@given(ends=st.lists(st.tuples(st.integers(0, 20), st.integers(2, 30)), max_size=8))
-def test_plan_is_the_newest_chunk_at_every_tick(ends: list[tuple[int, int]]) -> None:
-    plan, now = PlanExecutor(np.zeros(1), 0), 0
-    expected: dict[int, float] = {}
-    last = 0.0
-    for number, (ahead, length) in enumerate(ends, start=1):
-        now += 3
-        tick = now + ahead
-        q = np.full((length, 1), float(number))
-        plan.splice(tick * GRID_NS, JointTrajectory(q, q, q), now * GRID_NS)
-        for t in range(now, now + 100):
-            if t >= tick:
-                expected[t] = float(number)
-        last = float(number)
-    for t in range(now, now + 60):
-        at_tick = plan.at(t * GRID_NS).q[0]
-        assert at_tick == expected.get(t, 0.0 if not ends else expected.get(t, 0.0))
-    assert plan.at(plan.end_ns + 1000 * GRID_NS).q[0] == last
-    assert plan.at_rest(plan.end_ns)
-    assert not plan.at_rest(plan.end_ns - 1)
-
-
-def test_unknown_task_is_named_with_those_that_exist() -> None:
-    with pytest.raises(NotFoundError, match="open_press_close"):
-        ArmSimulation("point_maze")

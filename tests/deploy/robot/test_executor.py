@@ -115,3 +115,25 @@ def test_stops_and_chunks_leave_no_gap_in_what_is_remembered(
     for k in range(len(executed) - 3):
         window = tuple(executed[k : k + 4])
         assert window in judged or len(set(window)) == 1
+
+
+@given(ends=st.lists(st.tuples(st.integers(0, 20), st.integers(2, 30)), max_size=8))
+def test_plan_is_the_newest_chunk_at_every_tick(ends: list[tuple[int, int]]) -> None:
+    plan, now = PlanExecutor(np.zeros(1), 0), 0
+    expected: dict[int, float] = {}
+    last = 0.0
+    for number, (ahead, length) in enumerate(ends, start=1):
+        now += 3
+        tick = now + ahead
+        q = np.full((length, 1), float(number))
+        plan.splice(tick * GRID_NS, JointTrajectory(q, q, q), now * GRID_NS)
+        for t in range(now, now + 100):
+            if t >= tick:
+                expected[t] = float(number)
+        last = float(number)
+    for t in range(now, now + 60):
+        at_tick = plan.at(t * GRID_NS).q[0]
+        assert at_tick == expected.get(t, 0.0 if not ends else expected.get(t, 0.0))
+    assert plan.at(plan.end_ns + 1000 * GRID_NS).q[0] == last
+    assert plan.at_rest(plan.end_ns)
+    assert not plan.at_rest(plan.end_ns - 1)

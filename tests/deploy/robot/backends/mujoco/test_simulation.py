@@ -7,7 +7,7 @@ import pytest
 
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.robot.backends.mujoco.simulation import ArmSimulation
-from skewmi.errors import ConfigurationError
+from skewmi.errors import ConfigurationError, NotFoundError
 from skewmi.sim.arm.batch import ArmBatch
 from skewmi.sim.tasks.open_press_close.definition import ARM
 from skewmi.trajectory import JointPoint
@@ -95,3 +95,8 @@ def test_the_gripper_is_off_by_its_error_before_and_after_a_command() -> None:
 def test_a_running_robot_has_its_own_variation() -> None:
     with pytest.raises(ConfigurationError, match="give --variation to the skewmi robot"):
         DeployOptions(connect="tcp/127.0.0.1:7447", variation="randomised")
+
+
+def test_unknown_task_is_named_with_those_that_exist() -> None:
+    with pytest.raises(NotFoundError, match="open_press_close"):
+        ArmSimulation("point_maze")
