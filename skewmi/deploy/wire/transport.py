@@ -27,7 +27,6 @@ from __future__ import annotations
 
 import json
 import time
-from types import TracebackType
 from typing import Any, Self
 
 import zenoh
@@ -45,9 +44,7 @@ __all__ = ["LatestReader", "Link", "Publisher", "Sample", "TransportConfig"]
 
 
 class Link:
-    """One Zenoh session seen as one ROS 2 node; a context manager that closes it.
-
-    `Link.open` makes one.
+    """One Zenoh session seen as one ROS 2 node; a context manager that closes it; `open` makes one.
 
     Args:
         session: An open Zenoh session.
@@ -233,12 +230,7 @@ class Link:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.close()
 
     def _announce(self, kind: EntityKind, topic: Topic | ServiceName, qos: str) -> bytes:
