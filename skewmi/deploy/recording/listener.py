@@ -99,7 +99,7 @@ def listen(
     """Subscribe to everything, and hand it over until the owner ends the run.
 
     Args:
-        link: An open session.
+        link: An open one.
         source: Where the owner's lines come from.
         period_s: How often to look, s.
         on_sample: Given each message, in the order of its topic.

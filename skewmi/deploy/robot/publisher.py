@@ -24,7 +24,7 @@ class StatePublisher:
     Args:
         backend: The robot.
         controller: Of that robot.
-        link: An open session.
+        link: An open one.
     """
 
     def __init__(self, backend: RobotBackend, controller: RobotController, link: Link) -> None:

@@ -46,7 +46,7 @@ class RobotServer:
     Args:
         backend: The robot; opened and closed by `run`.
         controller: Of that robot; its `on_transition` is set to this server's.
-        link: An open session, listening.
+        link: An open one, listening.
         limits: That are enforced, for the description.
     """
 
