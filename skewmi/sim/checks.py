@@ -20,6 +20,19 @@ def checked_num_envs(num_envs: int) -> int:
     return int(num_envs)
 
 
+def checked_num_threads(num_threads: int) -> int:
+    """The number itself; 0 leaves the choice to the task.
+
+    Raises:
+        ConfigurationError: It is not a whole number from 0.
+    """
+    if isinstance(num_threads, bool) or int(num_threads) != num_threads or num_threads < 0:
+        raise ConfigurationError(
+            f"num_threads is {num_threads!r}; it must be a whole number from 0 (automatic)"
+        )
+    return int(num_threads)
+
+
 def checked_action(action: ArrayLike, num_envs: int, action_dim: int) -> Array:
     """The action as float64. Shape (num_envs, action_dim).
 

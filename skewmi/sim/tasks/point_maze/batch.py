@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from skewmi.batch_env import StepResult
 from skewmi.errors import ConfigurationError
 from skewmi.policy_io import TIME_FIELD, Array, PolicyLayout, assemble_observation
-from skewmi.sim.checks import checked_action, checked_num_envs
+from skewmi.sim.checks import checked_action, checked_num_envs, checked_num_threads
 from skewmi.sim.tasks.point_maze import maze
 from skewmi.success import inside_region
 
@@ -48,8 +48,7 @@ class PointMazeBatch:
             ConfigurationError: A number is out of its range.
         """
         self.num_envs = checked_num_envs(num_envs)
-        if num_threads < 0:
-            raise ConfigurationError(f"num_threads is {num_threads}; use 0 (automatic) or more")
+        checked_num_threads(num_threads)
         if not 0.0 <= start_noise < 0.5 * maze.CELL_SIZE:
             raise ConfigurationError(
                 f"start_noise is {start_noise} m; it must be in 0..{0.5 * maze.CELL_SIZE} m "
