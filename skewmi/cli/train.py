@@ -12,7 +12,8 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
-from skewmi.cli.train_options import TrainCommand, default_options, resolve
+from skewmi.cli.train_config import resolve
+from skewmi.cli.train_options import TrainCommand, default_options
 from skewmi.sim import tasks
 from skewmi.train import run
 from skewmi.train.config import TrainConfig

@@ -1,8 +1,7 @@
-"""The options of `skewmi train`, and the configuration that they mean."""
+"""The options of `skewmi train`, and where their numbers start from."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -10,20 +9,14 @@ from typing import Annotated, Literal
 
 import tyro
 
-from skewmi.cli import numbers
-from skewmi.cli.policies import task_options
-from skewmi.cli.task_flags import OptionalTaskName, variation_option
-from skewmi.errors import ConfigurationError
+from skewmi.cli.task_flags import OptionalTaskName
 from skewmi.sim import tasks
-from skewmi.train.checkpoint import read_checkpoint, read_run_header
+from skewmi.train.checkpoint import read_run_header
 from skewmi.train.config import MetricsConfig, RolloutConfig, TrainConfig
 from skewmi.train.exploration.protocol import ExplorationConfig
 from skewmi.train.learner import LearnerConfig
 from skewmi.train.presets import DEFAULT, default_preset, preset
-from skewmi.train.registry import EXPLORATIONS, LEARNERS, default_config, entry_of
-from skewmi.train.run import started_from
-
-MAX_STEPS = 10**12
+from skewmi.train.registry import EXPLORATIONS, LEARNERS, default_config
 
 _HELP = "Another {} than the preset's, with its own default numbers: {}."
 
@@ -166,145 +159,3 @@ def changed_flags(numbers: Numbers, config: TrainConfig) -> list[str]:
         changed = [name for name in names if getattr(ours, name) != getattr(theirs, name)]
         flags += [f"--{part.name}.{name.replace('_', '-')}" for name in changed]
     return flags
-
-
-def _refuse_changes(
-    options: TrainCommand, config: TrainConfig, why: str, **more: tuple[object, object]
-) -> None:
-    """What a run began with cannot change; to say the same again is no change.
-
-    Args:
-        options: What is asked for; None was not said.
-        config: Of the run.
-        why: Ends the message.
-        more: Name of an option -> what it says (None: nothing), and what the run has.
-
-    Raises:
-        ConfigurationError: An option says something else than the run has; both are told.
-    """
-    compared = {
-        "task": (options.task, config.task),
-        "preset": (options.preset, config.preset),
-        "learner": (options.learner, entry_of(config.learner)[0]),
-        "exploration": (options.exploration, entry_of(config.exploration)[0]),
-        "num-envs": (options.num_envs, config.rollout.num_envs),
-        **{name.replace("_", "-"): pair for name, pair in more.items()},
-    }
-    flags = changed_flags(options.numbers, config)
-    flags += [
-        f"--{name} {given} (the run has {has})"
-        for name, (given, has) in compared.items()
-        if given is not None and given != has
-    ]
-    recorded = dict(config.task_options)
-    flags += [
-        f"--option {name}={json.dumps(value)} (the run has {json.dumps(recorded.get(name))})"
-        for name, value in task_options(config.task, None, options.option).items()
-        if recorded.get(name) != value
-    ]
-    if flags:
-        raise ConfigurationError(f"leave out {', '.join(flags)}: {why}")
-
-
-def begun_from(options: TrainCommand, config: TrainConfig) -> TrainConfig:
-    """The configuration of a run that begins with another one's networks and episodes."""
-    assert options.start_from is not None
-    why = f"--start-from takes task and numbers from the run in {options.start_from}"
-    _refuse_changes(options, config, why)
-    origin = started_from(options.start_from, read_checkpoint(options.start_from))
-    nominal = tuple((k, v) for k, v in config.task_options if k != "variation")
-    return replace(
-        config,
-        started_from=origin,
-        seed=options.seed or 0,
-        device=options.device or "cpu",
-        threads=1 if options.threads is None else options.threads,
-        task_options=nominal + tuple(variation_option(config.task, options.variation).items()),
-    )
-
-
-def resumed(options: TrainCommand, config: TrainConfig) -> TrainConfig:
-    """The configuration of a run that goes on."""
-    why = f"the run in {options.run_dir} goes on with what it began with; or use another directory"
-    start_from = options.start_from
-    _refuse_changes(
-        options,
-        config,
-        why,
-        seed=(options.seed, config.seed),
-        threads=(options.threads, config.threads),
-        device=(options.device, config.device),
-        start_from=(
-            None if start_from is None else start_from.resolve().name,
-            config.started_from.rpartition(", step ")[0] or "none",
-        ),
-    )
-    recorded = dict(config.task_options).get("variation")
-    given = variation_option(config.task, options.variation).get("variation")
-    if options.variation is not None and given != recorded:
-        raise ConfigurationError(
-            f"--variation {options.variation} is not what the run in {options.run_dir} was "
-            "started with; leave --variation out to continue it, or use another directory"
-        )
-    return config
-
-
-def begun(options: TrainCommand, config: TrainConfig) -> TrainConfig:
-    """The configuration of a run from scratch."""
-    rollout = options.numbers.rollout
-    if options.num_envs is not None:
-        evaluation = min(rollout.evaluation_envs, max(options.num_envs - 1, 0))
-        rollout = replace(rollout, num_envs=options.num_envs, evaluation_envs=evaluation)
-    given = task_options(config.task, None, options.option)
-    for name, value in given.items():
-        if not isinstance(value, bool | int | float | str):
-            raise ConfigurationError(
-                f"--option {name}: {value!r} is not a number, a word or true or false"
-            )
-    varied = variation_option(config.task, options.variation)
-    return replace(
-        config,
-        seed=options.seed or 0,
-        device=options.device or "cpu",
-        threads=1 if options.threads is None else options.threads,
-        task_options=tuple({**dict(config.task_options), **given, **varied}.items()),
-        learner=options.numbers.learner,
-        exploration=options.numbers.exploration,
-        rollout=rollout,
-        metrics=options.numbers.metrics,
-    )
-
-
-def _check_numbers(options: TrainCommand) -> None:
-    if options.seed is not None:
-        numbers.require_seed(options.seed)
-    numbers.require("--steps", options.steps, 1, MAX_STEPS)
-    numbers.require_positive("--minutes", options.minutes)
-    numbers.require("--num-envs", options.num_envs, 1, numbers.MAX_ENVS)
-    numbers.require("--threads", options.threads, 1, numbers.MAX_THREADS)
-
-
-def resolve(options: TrainCommand) -> TrainConfig:
-    """The configuration that the options mean.
-
-    Raises:
-        NotFoundError: No such preset, learner or exploration.
-        ConfigurationError: A value is not allowed, or would change a run that goes on.
-        CheckpointError: --resume without --task, and there is no run.
-    """
-    _check_numbers(options)
-    config = origin_config(options)
-    if options.resume and (options.run_dir / "config.json").exists():
-        config = resumed(options, config)
-    elif options.start_from is not None:
-        config = begun_from(options, config)
-    elif options.task is None:
-        read_run_header(options.run_dir)  # says that there is no run here
-    else:
-        config = begun(options, config)
-    return replace(
-        config,
-        total_steps=config.total_steps if options.steps is None else options.steps,
-        minutes=options.minutes,
-        stop_on_convergence=options.stop_on_convergence,
-    )

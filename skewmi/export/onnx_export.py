@@ -12,16 +12,11 @@ checkpoint gives the same bytes.
 
 from __future__ import annotations
 
-import contextlib
-import copy
 import hashlib
 import importlib.metadata
-import io
 import json
-import logging
 import platform
-import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -31,12 +26,12 @@ import onnx
 import onnxruntime
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 import skewmi
 from skewmi import policy_file
 from skewmi.errors import PolicyFileError, VerificationError
 from skewmi.export.exportable import ExportablePolicy
+from skewmi.export.onnx_graph import build_model
 from skewmi.outputs import make_folder, written_aside
 from skewmi.policy_io import Array, PolicyLayout
 
@@ -87,17 +82,8 @@ def export_policy(
         OutputError: The file cannot be written.
     """
     path = Path(path)
-    observations = np.asarray(observations, dtype=np.float64)
-    if observations.ndim == 2:
-        observations = observations[None]
     layout = policy.layout
-    if observations.ndim != 3 or observations.shape[2] != layout.observation_dim:
-        raise PolicyFileError(
-            f"observations to verify with have shape {observations.shape}; task "
-            f"{layout.task!r} needs (n_steps, n, {layout.observation_dim})"
-        )
-    if observations.size == 0:
-        raise PolicyFileError("an export is verified over observations; none were given")
+    observations = _episodes(observations, layout)
     count = observations.shape[0] * observations.shape[1]
     document = {**policy.metadata, **(metadata or {}), **_layout_metadata(layout)}
     missing = [key for key in policy_file.REQUIRED_KEYS if key not in document]
@@ -131,71 +117,6 @@ def export_policy(
     )
 
 
-class Clamped(torch.nn.Module):
-    """A policy whose actions are in [-1, 1] to the last bit: a runtime's tanh may pass 1 by one."""
-
-    def __init__(self, module: torch.nn.Module) -> None:
-        super().__init__()
-        self.module = module
-
-    def forward(self, observation: Tensor, *state: Tensor) -> Tensor | tuple[Tensor, ...]:
-        """Same shapes as the policy's."""
-        result = self.module(observation, *state)
-        if not state:
-            return torch.clamp(result, -1.0, 1.0)
-        action, *after = result
-        return torch.clamp(action, -1.0, 1.0), *after
-
-
-def build_model(module: torch.nn.Module, layout: PolicyLayout) -> onnx.ModelProto:
-    """The ONNX graph of a policy module, without metadata.
-
-    Args:
-        module: As `ExportablePolicy.module`.
-        layout: Gives the width of the input.
-
-    Raises:
-        PolicyFileError: torch cannot express the module in ONNX.
-    """
-    module = copy.deepcopy(module).to(device="cpu", dtype=torch.float32).eval()
-    state_sizes = tuple(int(size) for size in getattr(module, "state_sizes", ()))
-    module = Clamped(module)
-    inputs = [policy_file.OBSERVATION]
-    outputs = [policy_file.ACTION]
-    if state_sizes:
-        inputs += policy_file.STATE_INPUTS
-        outputs += policy_file.STATE_OUTPUTS
-    # Two rows: the exporter takes a dimension of size one as constant.
-    example = tuple(torch.zeros(2, width) for width in (layout.observation_dim, *state_sizes))
-    rows = {0: torch.export.Dim("batch")}
-    shapes = (rows, tuple(rows for _ in state_sizes)) if state_sizes else (rows,)
-    try:
-        with _quiet_torch():
-            program = torch.onnx.export(
-                module,
-                example,
-                input_names=inputs,
-                output_names=outputs,
-                dynamic_shapes=shapes,
-                dynamo=True,
-                verbose=False,
-            )
-    # The exporter wraps anything a module may do wrong in classes of its own private modules.
-    except Exception as error:
-        reason = " ".join(str(error).split())[:300]
-        raise PolicyFileError(f"torch cannot write this policy as ONNX: {reason}") from error
-    assert program is not None
-    model = program.model_proto
-    _forget_origin(model)
-    model.producer_name = "skewmi"
-    model.producer_version = skewmi.__version__
-    fields = ", ".join(f"{field.name} [{field.unit}]" for field in layout.observation)
-    actions = ", ".join(f"{field.name} [{field.scale:g} {field.unit}]" for field in layout.action)
-    model.doc_string = f"Policy of task {layout.task}: observation ({fields}) -> action ({actions})"
-    onnx.checker.check_model(model, full_check=True)
-    return model
-
-
 def max_difference(policy: ExportablePolicy, model: bytes, observations: Array) -> float:
     """Largest difference between the actions of `policy.act` and of a serialised graph.
 
@@ -215,6 +136,21 @@ def max_difference(policy: ExportablePolicy, model: bytes, observations: Array) 
         for given in (observations, alone)
     ]
     return float(np.max(differences))
+
+
+def _episodes(observations: Array, layout: PolicyLayout) -> Array:
+    """Observations to verify with, shape (n_steps, n, observation_dim); at least one."""
+    episodes = np.asarray(observations, dtype=np.float64)
+    if episodes.ndim == 2:
+        episodes = episodes[None]
+    if episodes.ndim != 3 or episodes.shape[2] != layout.observation_dim:
+        raise PolicyFileError(
+            f"observations to verify with have shape {episodes.shape}; task "
+            f"{layout.task!r} needs (n_steps, n, {layout.observation_dim})"
+        )
+    if episodes.size == 0:
+        raise PolicyFileError("an export is verified over observations; none were given")
+    return episodes
 
 
 def _require_finite(module: torch.nn.Module, layout: PolicyLayout) -> None:
@@ -275,32 +211,6 @@ def _layout_metadata(layout: PolicyLayout) -> dict[str, Any]:
             "python": platform.python_version(),
         },
     }
-
-
-def _forget_origin(model: onnx.ModelProto) -> None:
-    """Drop the exporter's notes: stack traces, which name source files of this machine."""
-    graph = model.graph
-    for part in (*graph.node, *graph.input, *graph.output, *graph.value_info, *graph.initializer):
-        del part.metadata_props[:]
-        part.doc_string = ""
-    del graph.metadata_props[:]
-    graph.doc_string = ""
-    graph.name = "policy"
-    del model.metadata_props[:]
-
-
-@contextlib.contextmanager
-def _quiet_torch() -> Iterator[None]:
-    """Silence notes of torch's exporter on packages we do not use."""
-    logger = logging.getLogger("torch.onnx")
-    level = logger.level
-    logger.setLevel(logging.ERROR)
-    try:
-        with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        logger.setLevel(level)
 
 
 def write_atomically(path: Path, data: bytes) -> None:
