@@ -106,7 +106,8 @@ def make(options: BackendOptions) -> RobotBackend:
     """See `backends.make_backend`."""
     if options.delay_s is not None:
         raise ConfigurationError(
-            "the simulated robot's delay is its servos': give --variation instead of a delay"
+            "a delay (--delay-ms) is for the robot 'hold'; the simulated robot's is its servos': "
+            "give --variation instead"
         )
     start = options.start_configuration
     configuration = None if start is None else np.array(start)
