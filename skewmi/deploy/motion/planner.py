@@ -56,23 +56,30 @@ class Planner:
     Args:
         workspace: Box, orientation and start of the hand.
         limits: Joint limits (already scaled to the wanted speed).
+        flange_speed: That the robot admits, m/s; plans stay below.
 
     Raises:
         ConfigurationError: The start configuration does not belong to the start position.
         KinematicsError: A corner of the box cannot be reached.
     """
 
-    def __init__(self, workspace: Workspace, limits: JointLimits) -> None:
+    def __init__(
+        self,
+        workspace: Workspace,
+        limits: JointLimits,
+        *,
+        flange_speed: float = TCP_SPEED_LIMIT,
+    ) -> None:
         self.limits = limits
         self.workspace = workspace
         self._base = np.array(workspace.base_position)
         self._low, self._high = np.array(workspace.low), np.array(workspace.high)
         self._rotation = rotation_from_quaternion(workspace.hand_quaternion_wxyz)
         self._tolerance = TOLERANCE_SHARE * WORKSPACE_TOLERANCE
-        self._tcp_speed = TOLERANCE_SHARE * TCP_SPEED_LIMIT
+        self._tcp_speed = TOLERANCE_SHARE * flange_speed
         self._kinematics = ArmKinematics("right")
         posture = np.array(workspace.start_configuration)
-        self.hand_bounds = derive_hand_bounds(workspace, self._kinematics, limits, TCP_SPEED_LIMIT)
+        self.hand_bounds = derive_hand_bounds(workspace, self._kinematics, limits, flange_speed)
         self._joints = JointShaper(limits)
         self._ik = DifferentialIk(posture, self._rotation)
         self._hand = CartesianShaper(

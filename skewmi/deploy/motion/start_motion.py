@@ -38,6 +38,7 @@ class StartMotion:
         q_start: Where the arm rests, rad. Shape (7,).
         q_end: Where it shall rest, rad. Shape (7,).
         limits: Joint limits, scaled to the wanted speed.
+        flange_speed: That the robot admits, m/s.
 
     Raises:
         LimitViolationError: A configuration is not finite or outside the position limits.
@@ -48,6 +49,8 @@ class StartMotion:
         q_start: Array,
         q_end: Array,
         limits: JointLimits,
+        *,
+        flange_speed: float = TCP_SPEED_LIMIT,
     ) -> None:
         for name, q in (("start", q_start), ("end", q_end)):
             _require_inside(name, np.asarray(q, dtype=np.float64), limits)
@@ -57,7 +60,7 @@ class StartMotion:
         # Where start and end are the same, any bound will do.
         share = np.maximum(distance, _NO_DISTANCE)
         velocity = HEADROOM * float((limits.velocity / share).min())
-        self._velocity = velocity * _tcp_scale(start, self._line, velocity)
+        self._velocity = velocity * _tcp_scale(start, self._line, velocity, flange_speed)
         self._acceleration = HEADROOM * float((limits.acceleration / share).min())
         self._jerk = HEADROOM * float((limits.jerk / share).min())
         self._s = self._sample()
@@ -129,15 +132,16 @@ def _require_inside(name: str, q: Array, limits: JointLimits) -> None:
         )
 
 
-def _tcp_scale(start: Array, line: Array, rate: float) -> float:
+def _tcp_scale(start: Array, line: Array, rate: float, flange_speed: float) -> float:
     """Factor on ds/dt that keeps the tool, which moves with |J line| ds/dt, below its limit.
 
     Args:
         start: rad. Shape (7,).
         line: From start to end, rad. Shape (7,).
         rate: Largest ds/dt, 1/s.
+        flange_speed: The limit, m/s.
     """
     s = np.linspace(0.0, 1.0, 101)[:, None]
     jacobian = ArmKinematics("right").jacobian(start + s * line)[:, :3]
     fastest = float(np.linalg.norm(jacobian @ line, axis=1).max()) * rate
-    return min(1.0, TCP_SHARE * TCP_SPEED_LIMIT / max(fastest, 1e-9))
+    return min(1.0, TCP_SHARE * flange_speed / max(fastest, 1e-9))
