@@ -37,7 +37,7 @@ class EgmEvent(Enum):
     RELIEF = "relief"
     """What is asked for is within the joints' abilities again."""
     SILENCE = "silence"
-    """No packet for 0.1 s."""
+    """No packet for 0.1 s, or the session is known to be over."""
 
 
 _S, _E = EgmState, EgmEvent

@@ -162,6 +162,10 @@ class ControllerWatch:
         if now_ns - last_ns >= GAP_NS:
             self._fire(EgmEvent.SILENCE, f"no packet from the controller for {GAP_NS / 1e9:g} s")
 
+    def expect_session(self, reason: str) -> None:
+        """The present session is over, whatever its last packets say; a new one is to begin."""
+        self._fire(EgmEvent.SILENCE, reason)
+
     def readiness(self) -> str | None:
         """What is missing before a motion, the first of: packets, version, motors, program, EGM,
         ramp, utilisation. None if nothing is."""

@@ -1,0 +1,222 @@
+"""The real controller as a robot: its packets are the clock, each is answered once and at once."""
+
+from __future__ import annotations
+
+import logging
+import select
+import time
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from skewmi.deploy.robot.backend import RobotBackend, RobotState
+from skewmi.deploy.robot.backends import BackendOptions
+from skewmi.deploy.robot.backends.egm.channel import ArmChannel, Taken
+from skewmi.deploy.robot.backends.egm.clock import NOMINAL_PERIOD_NS
+from skewmi.deploy.robot.backends.egm.left_arm import LeftArm
+from skewmi.deploy.robot.backends.egm.link import UdpLink, parse_address
+from skewmi.deploy.robot.backends.egm.motion import DelayEstimate, SpeedEstimate
+from skewmi.deploy.robot.backends.egm.options import EgmOptions
+from skewmi.deploy.robot.backends.egm.scene import EgmScene
+from skewmi.deploy.robot.backends.egm.states import EgmState
+from skewmi.deploy.robot.backends.egm.telling import told
+from skewmi.deploy.robot.gripper.base import Gripper
+from skewmi.deploy.state_machine import Transition
+from skewmi.errors import CommandRefusedError, ConfigurationError, TransportError
+from skewmi.robot_models import yumi
+from skewmi.trajectory import JointPoint
+
+_log = logging.getLogger(__name__)
+
+WAIT_NS = 8_000_000
+"""Longest wait for a packet before commands and services have their turn: two cycles."""
+
+_FOLLOWS = (EgmState.GUIDING, EgmState.OVERLOADED)
+
+
+class EgmBackend:
+    """A YuMi behind ABB's EGM; satisfies `RobotBackend`. It controls the right arm.
+
+    Args:
+        options: Of the bridge.
+        gripper: Of the right arm; None if there is none.
+        scene: What is known of what stands before it; None if nothing is.
+    """
+
+    name = "egm"
+    period_ns = round(NOMINAL_PERIOD_NS)
+    lock_step = False
+
+    def __init__(
+        self, options: EgmOptions, gripper: Gripper | None = None, scene: EgmScene | None = None
+    ) -> None:
+        self.options = options
+        self.gripper = gripper
+        self.scene = scene
+        self.joint_names = yumi.joint_names("right")
+        fingers = () if gripper is None else yumi.finger_names("right")[:1]
+        self.state_names = (*self.joint_names, *fingers)
+        self.admitted_speed = options.admitted_speed
+        self.slips = 0
+        self.delay = DelayEstimate()
+        self.command: JointPoint | None = None
+        """What was answered last while the arm followed; None while it does not."""
+        self.right: ArmChannel | None = None
+        self.left: LeftArm | None = None
+        if scene is not None:
+            scene.on_reset = self._expect_session
+        self._speed = SpeedEstimate()
+        self._poll = select.poll()
+
+    def open(self, may_advance: Callable[[], bool]) -> None:
+        """Bind the sockets.
+
+        Raises:
+            ConfigurationError: An address is none.
+            TransportError: One of them cannot be bound.
+        """
+        del may_advance
+        options, address = self.options, parse_address(self.options.listen)
+        self.right = self._channel(UdpLink(address), "right")
+        left = self._open_left((self.right.link.address[0], self.right.link.address[1] - 1))
+        self.left = None if left is None else LeftArm(self._channel(left, "left"))
+        self._poll.register(self.right.link, select.POLLIN)
+        if left is not None:
+            self._poll.register(left, select.POLLIN)
+        host, port = self.right.link.address
+        _log.info(
+            "EGM: right arm on %s:%d/udp, left arm %s; a flange at %.0f mm/s runs on %.0f mm",
+            host,
+            port,
+            "not watched" if left is None else f"on {left.address[0]}:{left.address[1]}/udp",
+            1e3 * self.admitted_speed,
+            1e3 * options.run_on_limit,
+        )
+
+    def readiness(self) -> str | None:
+        """What is missing before the arm can be commanded, in the order of what has to be done."""
+        if self.right is None:
+            return "the bridge is not open"
+        missing = self.right.readiness()
+        if missing is None and self.left is not None:
+            missing = self.left.misplaced()
+        return missing
+
+    def read(self) -> RobotState | None:
+        """Wait for a packet of the right arm, and serve the left one meanwhile."""
+        assert self.right is not None, "open it first"
+        until_ns = time.monotonic_ns() + WAIT_NS
+        while True:
+            taken = self.right.take()
+            if taken is not None:
+                return self._state(taken)
+            if self.left is not None:
+                self.left.serve()
+            left_ns = until_ns - time.monotonic_ns()
+            # Milliseconds are all that poll knows, rounded up.
+            if left_ns <= 0 or not self._poll.poll(left_ns / 1e6):
+                return None
+
+    def write(self, command: JointPoint) -> None:
+        """Answer the packet; then the left arm's, which may have come meanwhile."""
+        assert self.right is not None
+        if self.right.watch.state in _FOLLOWS:
+            feed_forward = self.options.feed_forward
+            self.right.answer(command.q, feed_forward * command.v if feed_forward else None)
+            self._note_delay(command)
+            self.command = command
+        else:
+            self.right.hold()
+            self.command = None
+        if self.left is not None:
+            self.left.serve()
+
+    def activate(self) -> None:
+        """EGM runs already: nothing is to be switched on."""
+
+    def deactivate(self) -> None:
+        """EGM goes on: the arm is held by it."""
+
+    def open_gripper(self, opening: float) -> None:
+        """Move each finger to `opening` m from closed.
+
+        Raises:
+            CommandRefusedError: Not an opening, no gripper, or one that cannot.
+        """
+        if self.gripper is None:
+            raise CommandRefusedError("this robot has no gripper; start it with --gripper")
+        self.gripper.open_to(opening)
+
+    def told(self) -> Mapping[str, str]:
+        """What the status says beyond that of every robot."""
+        return told(self)
+
+    def close(self) -> None:
+        """Close the sockets and leave the gripper."""
+        if self.right is not None:
+            self.right.link.close()
+        if self.left is not None:
+            self.left.channel.link.close()
+        if self.gripper is not None:
+            self.gripper.close()
+
+    def _expect_session(self) -> None:
+        assert self.right is not None
+        self.right.watch.expect_session("the scene was reset; the program starts again")
+
+    def _state(self, taken: Taken) -> RobotState:
+        assert self.right is not None
+        watch, q = self.right.watch, taken.packet.q
+        self.slips += taken.skipped
+        if taken.begins:
+            self._speed.forget()
+        velocity = self._speed.add(watch.clock.time_ns, q)
+        nothing = np.zeros(len(self.state_names))
+        if self.gripper is not None:
+            q, velocity = np.append(q, self.gripper.opening), np.append(velocity, 0.0)
+        return RobotState(
+            time_ns=int(watch.clock.time_ns),
+            position=q,
+            velocity=velocity,
+            effort=nothing,
+            guided=watch.state in _FOLLOWS,
+        )
+
+    def _note_delay(self, command: JointPoint) -> None:
+        assert self.right is not None
+        packet = self.right.watch.packet
+        if packet is not None and self.command is not None:
+            period_s = self.right.watch.clock.period_ns / 1e9
+            self.delay.add(command.q, command.v, packet.q, period_s)
+
+    def _open_left(self, beside: tuple[str, int]) -> UdpLink | None:
+        where = self.options.listen_left
+        if where == "none":
+            return None
+        if where is not None:
+            return UdpLink(parse_address(where))
+        try:
+            return UdpLink(beside)
+        except (TransportError, OverflowError) as error:
+            _log.warning("the left arm is not watched: %s", error)
+            return None
+
+    def _channel(self, link: UdpLink, arm: str) -> ArmChannel:
+        def tell(transition: Transition[EgmState]) -> None:
+            _log.info("EGM, %s arm: %s", arm, transition)
+
+        ramp_ns = round(1e9 * self.options.program.ramp_in_s)
+        return ArmChannel(link, ramp_ns, self.options.controller, tell)
+
+
+def make(options: BackendOptions) -> RobotBackend:
+    """See `backends.make_backend`."""
+    if options.lock_step:
+        raise ConfigurationError("a controller has its own time; leave out --lock-step")
+    if options.variation is not None:
+        raise ConfigurationError(
+            "a real robot is as it is; give --variation to the egm-emulator, or leave it out"
+        )
+    egm = EgmOptions() if options.egm is None else options.egm
+    scene = None if options.facts is None else EgmScene(options.facts, options.link)
+    return EgmBackend(egm, options.gripper, scene)

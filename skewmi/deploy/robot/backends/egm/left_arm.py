@@ -1,0 +1,60 @@
+"""The left arm: held where it is, and compared with where the collision check takes it to be."""
+
+from __future__ import annotations
+
+from math import degrees
+
+import numpy as np
+
+from skewmi.deploy.robot.backends.egm.channel import ArmChannel
+from skewmi.deploy.robot.backends.egm.options import LEFT_ARM_TOLERANCE
+from skewmi.robot_models import yumi
+from skewmi.trajectory import Array
+
+PARKED: Array = np.array(yumi.HOME["left"])
+"""Where `deploy.safety.guard` has it, rad. Shape (7,)."""
+
+
+class LeftArm:
+    """Answers the left arm's packets so that its session lives, and watches where it stands.
+
+    Args:
+        channel: Of the left arm.
+    """
+
+    def __init__(self, channel: ArmChannel) -> None:
+        self.channel = channel
+
+    @property
+    def position(self) -> Array | None:
+        """Where it was last seen, rad; None if it never was. Shape (7,)."""
+        packet = self.channel.watch.packet
+        return None if packet is None else packet.q
+
+    def serve(self) -> None:
+        """Answer what has come."""
+        if self.channel.take() is not None:
+            self.channel.hold()
+
+    def misplaced(self) -> str | None:
+        """Why the collision check cannot be trusted; None if it can, or nothing is known."""
+        q = self.position
+        if q is None:
+            return None
+        off = np.abs(q - PARKED)
+        worst = int(np.argmax(off))
+        if off[worst] <= LEFT_ARM_TOLERANCE:
+            return None
+        return (
+            f"the left arm's axis {yumi.ABB_AXES[worst]} is {degrees(float(off[worst])):.1f} deg "
+            f"away from home, where the collision check takes it to be; at most "
+            f"{degrees(LEFT_ARM_TOLERANCE):g} deg are allowed: move the arm there"
+        )
+
+    @property
+    def summary(self) -> str:
+        """For the status."""
+        if self.position is None:
+            return "never heard of; taken to be at home"
+        state = self.channel.watch.state.value
+        return f"{state}; {self.misplaced() or 'at home'}"

@@ -1,0 +1,119 @@
+"""The scene before a real robot: what is known of the task; resets, if somebody serves them.
+
+An emulated controller has its scene in its own process. It publishes the scene's states itself;
+resets go through the robot server, which knows who commands, and from here to the emulator.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from skewmi.deploy.robot.backend import SceneState
+from skewmi.deploy.robot.backends.egm.options import TaskFacts
+from skewmi.deploy.wire.messages import decode_status
+from skewmi.deploy.wire.topics import TRIGGER, YUMI_STATUS
+from skewmi.deploy.wire.topics import Service as ServiceName
+from skewmi.deploy.wire.transport import LatestReader, Link
+from skewmi.errors import CommandRefusedError, TransportError
+from skewmi.trajectory import Array
+
+EMULATOR_RESET = ServiceName("/skewmi/emulator/reset", TRIGGER)
+"""Of the emulator, for the robot server alone: put scene and arm back to an episode's start."""
+
+EMULATOR_STATUS = "skewmi_egm_emulator"
+"""Name of the emulator's entry in the status messages."""
+
+CONTACT_PREFIX = "contact."
+"""Of the keys in that entry that tell of the scene's contact."""
+
+RESET_TIMEOUT_S = 1.0
+_HEARD_S = 1.5
+"""An emulator that has not told its status for so long is not there."""
+
+
+class EgmScene:
+    """Satisfies `Scene`.
+
+    Args:
+        facts: Of the task.
+        link: An open session, to find an emulator on; None if there is none to be found.
+    """
+
+    simulated = False
+
+    def __init__(self, facts: TaskFacts, link: Link | None) -> None:
+        self.task = facts.task
+        self.layout_hashes = facts.layout_hashes
+        self.workspace = facts.workspace
+        self.shapes_json = facts.shapes_json
+        self._link = link
+        self._status: LatestReader | None = None
+        if link is not None:
+            self._status = link.subscribe(YUMI_STATUS, depth=None)
+        self.on_reset: Callable[[], None] = lambda: None
+        """Called once the emulator has ended the arm's session for a reset."""
+        self._heard_s = -_HEARD_S
+        self._contact: dict[str, float] = {}
+
+    @property
+    def resettable(self) -> bool:
+        """Whether an emulator is there."""
+        self._hear()
+        return time.monotonic() - self._heard_s < _HEARD_S
+
+    def state(self) -> SceneState | None:
+        """Somebody else publishes them."""
+        return None
+
+    def contact(self) -> Mapping[str, float]:
+        """What an emulator has told last."""
+        self._hear()
+        return self._contact
+
+    def reset(self, seed: int) -> Array:
+        """Ask the emulator. The answer comes within a cycle or two; the arm's session ends by it.
+
+        Raises:
+            CommandRefusedError: There is none, or it refuses.
+        """
+        if self._link is None or not self.resettable:
+            raise CommandRefusedError(
+                "the scene before this robot is real, or its emulator is not connected: put it "
+                "back by hand"
+            )
+        try:
+            reply = self._link.call(EMULATOR_RESET, RESET_TIMEOUT_S, str(seed).encode())
+            if not reply.success:
+                raise CommandRefusedError(reply.message)
+            q = np.array([float(value) for value in json.loads(reply.message)])
+        except (TransportError, ValueError, TypeError) as error:
+            raise CommandRefusedError(f"the scene was not reset: {error}") from error
+        if q.shape != (7,) or not np.isfinite(q).all():
+            raise CommandRefusedError(
+                f"the scene was reset, but the arm is said to be at {reply.message[:80]}"
+            )
+        self._contact = {}
+        self.on_reset()
+        return q
+
+    def _hear(self) -> None:
+        if self._status is None:
+            return
+        for sample in self._status.drain():
+            try:
+                status = decode_status(sample.payload)
+                if status.name != EMULATOR_STATUS:
+                    continue
+                contact = {
+                    key.removeprefix(CONTACT_PREFIX): float(value)
+                    for key, value in status.values.items()
+                    if key.startswith(CONTACT_PREFIX)
+                }
+            except (TransportError, ValueError):
+                continue
+            self._contact = contact
+            self._heard_s = time.monotonic()

@@ -1,0 +1,62 @@
+"""What the bridge tells of its controller on `/yumi/status`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from skewmi.robot_models.kinematics import ArmKinematics
+
+if TYPE_CHECKING:
+    from skewmi.deploy.robot.backends.egm.backend import EgmBackend
+
+_KINEMATICS = ArmKinematics("right")
+
+
+def told(bridge: EgmBackend) -> dict[str, str]:
+    """Keys and values for the status."""
+    channel = bridge.right
+    if channel is None:
+        return {}
+    watch, packet = channel.watch, channel.watch.packet
+    statistics = watch.statistics
+    values = {
+        "egm": watch.state.value,
+        "egm_missing": bridge.readiness() or "",
+        "session": str(watch.sessions),
+        "rate_hz": f"{statistics.rate_hz:.1f}",
+        "jitter_ms": f"{statistics.jitter_ns / 1e6:.3f}",
+        "missed": str(statistics.missed),
+        "replies": str(statistics.replies),
+        "late_fraction": f"{statistics.late_fraction:.6f}",
+        "reply_ms": f"{statistics.reply_ns / 1e6:.3f}",
+        "ignored": str(statistics.ignored),
+        "unusable": str(watch.unusable),
+        "unusable_reason": watch.unusable_reason,
+        "runs_on_mm": f"{1e3 * runs_on(bridge):.2f}",
+        "left_arm": "not watched" if bridge.left is None else bridge.left.summary,
+        "gripper": "none" if bridge.gripper is None else bridge.gripper.problem() or "ready",
+    }
+    if bridge.delay.delay_s is not None:
+        values["delay_ms"] = f"{1e3 * bridge.delay.delay_s:.1f}"
+    if packet is not None:
+        rate = packet.utilization
+        values |= {
+            "motors": packet.motors.name.lower(),
+            "rapid": packet.rapid.name.lower(),
+            "mci": packet.mci.name.lower(),
+            "robotware": str(packet.robotware),
+            "utilization": "unknown" if rate is None else f"{rate:.0f}",
+        }
+    return values
+
+
+def runs_on(bridge: EgmBackend) -> float:
+    """How far the flange would run on if this process died now, m."""
+    command = bridge.command
+    if command is None or not command.v.any():
+        return 0.0
+    speed = float(np.linalg.norm(_KINEMATICS.jacobian(command.q)[:3] @ command.v))
+    options = bridge.options
+    return speed * options.program.runs_on_s(options.feed_forward)
