@@ -77,8 +77,12 @@ class Scene(Protocol):
 
     shapes_json: str
     """Shapes around the robot for replays, as `SceneGeometry.to_json`; empty if unknown."""
-    resettable: bool
-    """Whether `reset` does anything: simulated scenes."""
+    simulated: bool
+    """Whether robot and scene are simulated in this process."""
+
+    @property
+    def resettable(self) -> bool:
+        """Whether `reset` does anything now: simulated scenes, and those that somebody serves."""
 
     def state(self) -> SceneState | None:
         """Joints of the scene in the newest cycle; None if somebody else publishes them."""
@@ -107,6 +111,10 @@ class RobotBackend(Protocol):
     """Nominal time between two cycles, ns."""
     lock_step: bool
     """Whether time stands still until commands have arrived."""
+
+    @property
+    def admitted_speed(self) -> float:
+        """Largest speed of the flange that the robot can be left alone with, m/s; inf if any."""
 
     @property
     def slips(self) -> int:
@@ -166,6 +174,9 @@ class RobotBackend(Protocol):
         Raises:
             CommandRefusedError: Not an opening of the fingers, or there are none.
         """
+
+    def told(self) -> Mapping[str, str]:
+        """What the status says of this kind of robot, beyond that of every robot."""
 
     def close(self) -> None:
         """End; nothing else is called afterwards."""

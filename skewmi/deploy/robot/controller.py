@@ -25,6 +25,9 @@ from skewmi.errors import CommandRefusedError, TransportError
 from skewmi.policy_io import Array
 from skewmi.trajectory import TrajectoryChunk
 
+SILENCE_NS = 100_000_000
+"""A robot that has had no cycle for so long is taken to have gone, if it says so itself."""
+
 LEASE_NS = 2_000_000_000
 """A commander that is silent for longer than this loses the arm."""
 
@@ -60,6 +63,7 @@ class RobotController:
         self.newest_ns = -1
         """Stamp of the newest accepted chunk."""
         self.accepted = 0
+        self._cycle_ns = 0
 
     @property
     def state(self) -> ServerState:
@@ -89,16 +93,38 @@ class RobotController:
             now_ns: Any monotonic clock, for the lease.
         """
         self.check_lease(now_ns)
+        self._cycle_ns = now_ns
         try:
             self.arm_motion.cycle(state)
         except BackendFaultError as fault:
             self.fault(str(fault))
-        if self.state in (*ACCEPTS_COMMANDS, ServerState.STOPPING):
-            missing = self._backend.readiness()
-            if missing is not None:
-                self.fault(missing)
+        self._check_readiness()
         if self.at_rest:
             self.fire(ServerEvent.AT_REST, "the plan has ended")
+
+    def no_cycle(self, now_ns: int) -> None:
+        """The robot has had none lately: it may have gone.
+
+        Args:
+            now_ns: As in `cycle`.
+        """
+        self.check_lease(now_ns)
+        missing = self._check_readiness()
+        silent = now_ns - self._cycle_ns >= SILENCE_NS
+        if missing and silent and self.arm_motion.state is not None:
+            # Its time stands still, and what was planned will not happen any more.
+            self.reseed(self.arm_motion.measured)
+
+    def _check_readiness(self) -> bool:
+        """Whether something is missing that the robot follows; then nobody commands it any more."""
+        missing = self._backend.readiness()
+        if missing is None:
+            return False
+        if self.state is ServerState.HOLDING:
+            self.end(ServerEvent.WITHDRAWN, missing)
+        elif self.state in (ServerState.EXECUTING, ServerState.STOPPING):
+            self.fault(missing)
+        return True
 
     def fault(self, reason: str) -> None:
         """The robot cannot go on, for a reason that it tells."""

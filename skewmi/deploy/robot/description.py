@@ -9,6 +9,10 @@ from typing import Any
 
 from skewmi.errors import TransportError
 from skewmi.robot_models.limits import JointLimits
+from skewmi.trajectory import GRID_NS
+
+FLANGE_SPEED = "flange_speed"
+"""Key of `RobotDescription.limits`."""
 
 SCENE_REQUEST = b"scene"
 """Extra bytes of a describe request that ask for the scene's shapes, too."""
@@ -25,7 +29,7 @@ class RobotDescription:
     limit_profile: str
     lock_step: bool
     simulated: bool
-    """Whether the scene can be reset by a message."""
+    """Whether robot and scene are simulated."""
     grid_ns: int
     state_period_ns: int
     state: str
@@ -38,9 +42,18 @@ class RobotDescription:
     stops: int
     """How often somebody has asked to stop since the robot server started."""
     limits: Mapping[str, tuple[float, ...]]
-    """The bounds of the limit profile per joint, so that both sides can compare them."""
+    """The bounds of the limit profile per joint, so that both sides can compare them; and the
+    flange's speed, m/s, if the robot admits less of it than `safety.limits` does."""
     contact: Mapping[str, float] = field(default_factory=dict)
     """Largest of `skewmi.contact.QUANTITIES` since the scene's last reset; empty if unknown."""
+    resettable: bool = False
+    """Whether the scene can be reset by a message."""
+    cycle_ns: int = GRID_NS
+    """Nominal time between two cycles of the robot's own, in which it measures."""
+    ready: bool = True
+    """Whether the arm can be commanded once somebody has armed."""
+    not_ready: str = ""
+    """What is missing, if it cannot."""
     scene: str = ""
     """Shapes of the scene, as `SceneGeometry.to_json`; only in answers to requests for it."""
 

@@ -84,6 +84,7 @@ class StatePublisher:
             refused_of_commander=controller.refusals.of_commander,
             commander=controller.lease.holder or b"",
             slips=self._backend.slips,
+            told=self._backend.told(),
             source=None if transition is None else transition.source,
             event=None if transition is None else ServerEvent(transition.event),
         )

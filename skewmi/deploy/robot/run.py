@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 
 from skewmi.deploy.robot.backend import fresh_start_ns
 from skewmi.deploy.robot.backends import BackendOptions, make_backend
@@ -47,12 +48,12 @@ def serve_robot(
     """
     # The port first: a taken one is reported before a scene is compiled.
     with Link.open(config, NODE_NAME) as link:
-        backend = make_backend(name, options)
+        backend = make_backend(name, replace(options, link=link))
         workspace = None if backend.scene is None else backend.scene.workspace
         rules = ValidationRules(joint_names=backend.joint_names, grid_ns=GRID_NS)
         controller = RobotController(
             backend,
-            ChunkValidator(rules, limit_check(limits, workspace)),
+            ChunkValidator(rules, limit_check(limits, workspace, backend.admitted_speed)),
             lease_ns=LOCK_STEP_LEASE_NS if backend.lock_step else LEASE_NS,
             start_ns=fresh_start_ns(),
         )

@@ -18,11 +18,17 @@ from contextlib import contextmanager, suppress
 from skewmi.deploy.realtime import hot_loop
 from skewmi.deploy.robot.backend import BackendFaultError, RobotBackend, RobotState
 from skewmi.deploy.robot.controller import RobotController
-from skewmi.deploy.robot.description import SCENE_REQUEST, RobotDescription, limit_values
+from skewmi.deploy.robot.description import (
+    FLANGE_SPEED,
+    SCENE_REQUEST,
+    RobotDescription,
+    limit_values,
+)
 from skewmi.deploy.robot.publisher import StatePublisher
 from skewmi.deploy.robot.refusals import Refusal
 from skewmi.deploy.robot.requests import RobotRequests
 from skewmi.deploy.robot.states import ServerState
+from skewmi.deploy.safety.limits import TCP_SPEED_LIMIT
 from skewmi.deploy.safety.validation import check_size
 from skewmi.deploy.state_machine import Transition
 from skewmi.deploy.wire import topics
@@ -72,7 +78,7 @@ class RobotServer:
             link.service(topics.YUMI_DISARM, self._disarm, polled=True),
             link.service(topics.YUMI_STOP, self._stop, polled=True),
         ]
-        if backend.scene is not None and backend.scene.resettable:
+        if backend.scene is not None:
             self._services.append(
                 link.service(topics.YUMI_SCENE_RESET, self._reset_scene, polled=True)
             )
@@ -107,7 +113,7 @@ class RobotServer:
         state = self._read()
         now_ns = time.monotonic_ns()
         if state is None:
-            self._controller.check_lease(now_ns)
+            self._controller.no_cycle(now_ns)
         else:
             self._controller.cycle(state, now_ns)
             self._publisher.states(state)
@@ -172,7 +178,11 @@ class RobotServer:
             robot_model_hash=yumi.MODEL_HASH,
             limit_profile=limits.name,
             lock_step=backend.lock_step,
-            simulated=scene is not None and scene.resettable,
+            simulated=scene is not None and scene.simulated,
+            resettable=scene is not None and scene.resettable,
+            cycle_ns=backend.period_ns,
+            ready=missing is None,
+            not_ready=missing or "",
             grid_ns=GRID_NS,
             state_period_ns=CYCLE_NS,
             state=controller.state.value,
@@ -181,7 +191,7 @@ class RobotServer:
             joint_names=backend.joint_names,
             commanded_position=controller.arm_motion.commanded_position(),
             stops=self._requests.stops,
-            limits=limit_values(limits),
+            limits=limit_values(limits) | _flange_speed(backend),
             contact={} if scene is None else scene.contact(),
             scene=scene.shapes_json if with_scene and scene is not None else "",
         )
@@ -217,3 +227,9 @@ class RobotServer:
 @contextmanager
 def _no_preparation() -> Iterator[list[str]]:
     yield []
+
+
+def _flange_speed(backend: RobotBackend) -> dict[str, tuple[float, ...]]:
+    """What the robot admits, if that is less than what everybody keeps to."""
+    speed = backend.admitted_speed
+    return {FLANGE_SPEED: (speed,)} if speed < TCP_SPEED_LIMIT else {}

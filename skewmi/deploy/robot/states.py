@@ -33,6 +33,8 @@ class ServerEvent(Enum):
     """The commander gives the arm back; in fault it acknowledges nothing."""
     COMMANDER_LOST = "commander lost"
     """The commander has been silent for longer than its lease."""
+    WITHDRAWN = "withdrawn"
+    """The robot is not ready any more, and rests: whoever commanded it has to arm again."""
     FAULT = "fault"
     """The backend cannot follow: physics, drives or tracking."""
 
@@ -48,6 +50,7 @@ SERVER_TABLE = TransitionTable(
         (_S.HOLDING, _E.STOP): _S.DISARMED,
         (_S.HOLDING, _E.DISARM): _S.DISARMED,
         (_S.HOLDING, _E.COMMANDER_LOST): _S.DISARMED,
+        (_S.HOLDING, _E.WITHDRAWN): _S.DISARMED,
         (_S.HOLDING, _E.FAULT): _S.FAULT,
         (_S.EXECUTING, _E.AT_REST): _S.HOLDING,
         (_S.EXECUTING, _E.STOP): _S.STOPPING,

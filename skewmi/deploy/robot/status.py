@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from skewmi.deploy.robot.states import ServerEvent, ServerState
 from skewmi.deploy.wire.messages import (
@@ -19,6 +20,13 @@ STATUS_NAME = "skewmi_robot"
 """Name of the robot server's entry in the status messages."""
 
 _NO_STAMP = "None"
+_COMMON = frozenset(
+    {
+        *("state", "reason", "accepted", "refused", "refusal", "refused_stamps_ns"),
+        *("out_of_step", "refused_of_commander", "commander", "slips", "from", "event"),
+    }
+)
+"""Keys that every robot server tells."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +58,8 @@ class RobotStatus:
     """Global id of the commander's publisher of chunks; empty without one."""
     slips: int = 0
     """How often cycles were left out because the server came too late."""
+    told: Mapping[str, str] = field(default_factory=dict)
+    """What this kind of robot says beyond that."""
     source: ServerState | None = None
     """The state before, if a change of state is told."""
     event: ServerEvent | None = None
@@ -75,6 +85,7 @@ class RobotStatus:
             "commander": self.commander.hex(),
             "slips": str(self.slips),
         }
+        values = {**self.told, **values}
         if self.source is not None and self.event is not None:
             values |= {"from": self.source.value, "event": self.event.value}
         return encode_status(Status(self.stamp_ns, STATUS_NAME, level, self.message, values))
@@ -104,6 +115,7 @@ class RobotStatus:
                 refused_of_commander=int(values["refused_of_commander"]),
                 commander=bytes.fromhex(values["commander"]),
                 slips=int(values["slips"]),
+                told={key: text for key, text in values.items() if key not in _COMMON},
                 source=ServerState(values["from"]) if "from" in values else None,
                 event=ServerEvent(values["event"]) if "event" in values else None,
             )

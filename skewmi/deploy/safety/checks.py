@@ -11,6 +11,7 @@ import numpy as np
 
 from skewmi.deploy.safety.guard import Guard
 from skewmi.deploy.safety.limits import (
+    TCP_SPEED_LIMIT,
     WORKSPACE_TOLERANCE,
     ChunkChecker,
     Forward,
@@ -37,13 +38,20 @@ class ChunkChecks:
     Args:
         limits: Of the joints.
         workspace: The task's box.
+        flange_speed: That the robot admits, m/s.
     """
 
-    def __init__(self, limits: JointLimits, workspace: Workspace) -> None:
+    def __init__(
+        self, limits: JointLimits, workspace: Workspace, flange_speed: float = TCP_SPEED_LIMIT
+    ) -> None:
         forward = ArmKinematics("right").forward
+        speed = min(flange_speed, TCP_SPEED_LIMIT)
         self._checkers = {
-            False: (ChunkChecker(limits, None, forward), Guard(limits, None)),
-            True: (ChunkChecker(limits, workspace, forward), Guard(limits, workspace)),
+            False: (ChunkChecker(limits, None, forward, tcp_speed=speed), Guard(limits, None)),
+            True: (
+                ChunkChecker(limits, workspace, forward, tcp_speed=speed),
+                Guard(limits, workspace),
+            ),
         }
         self.boxed = False
         """Whether the hand has to stay in the box; not on the way to the start."""
@@ -62,7 +70,9 @@ class ChunkChecks:
         self._checkers[self.boxed][1].check(samples.q, samples.v, samples.a)
 
 
-def limit_check(limits: JointLimits, workspace: Workspace | None) -> LimitCheck:
+def limit_check(
+    limits: JointLimits, workspace: Workspace | None, admitted_speed: float = TCP_SPEED_LIMIT
+) -> LimitCheck:
     """The limits that the robot server enforces: joints and hand speed always, the box from inside.
 
     A motion that starts outside the box (on the way to the start pose) is only checked for joint
@@ -72,16 +82,18 @@ def limit_check(limits: JointLimits, workspace: Workspace | None) -> LimitCheck:
     Args:
         limits: Of the joints.
         workspace: The task's box; None if there is none.
+        admitted_speed: Of the flange, m/s, if the robot asks for less than everybody keeps to.
     """
+    speed = min(admitted_speed, TCP_SPEED_LIMIT)
     forward = _SharedForward(ArmKinematics("right").forward)
-    anywhere = ChunkChecker(limits, None, forward)
+    anywhere = ChunkChecker(limits, None, forward, tcp_speed=speed)
 
     def check_anywhere(samples: JointTrajectory, present: JointPoint, earlier: Array) -> object:
         return anywhere.check(samples.q, samples.v, samples.a, present, earlier=earlier)
 
     if workspace is None:
         return check_anywhere
-    inside = ChunkChecker(limits, workspace, forward)
+    inside = ChunkChecker(limits, workspace, forward, tcp_speed=speed)
     base = np.array(workspace.base_position)
     room = WORKSPACE_TOLERANCE + _ROUNDING
     low, high = np.array(workspace.low) - base - room, np.array(workspace.high) - base + room

@@ -30,9 +30,13 @@ class Approach:
         loop: Carries out the motion.
         stream: Where its chunks go to.
         limits: To keep.
+        flange_speed: Likewise, m/s.
     """
 
-    def __init__(self, loop: ControlLoop, stream: ChunkStream, limits: JointLimits) -> None:
+    def __init__(
+        self, loop: ControlLoop, stream: ChunkStream, limits: JointLimits, flange_speed: float
+    ) -> None:
+        self._flange_speed = flange_speed
         self._loop = loop
         self._stream = stream
         self._limits = limits
@@ -53,7 +57,7 @@ class Approach:
             CommandRefusedError: The arm did not arrive.
             SkewmiError: Whatever else ends a motion.
         """
-        way = _Way(q_goal, self._limits, self._stream)
+        way = _Way(q_goal, self._limits, self._flange_speed, self._stream)
         for _ in range(START_ATTEMPTS):
             try:
                 state = self._loop.run(way, q, state)
@@ -72,12 +76,16 @@ class _Way:
     Args:
         q_goal: Where to go, rad. Shape (7,).
         limits: To keep.
+        flange_speed: Likewise, m/s.
         stream: Knows when the arm rests.
     """
 
-    def __init__(self, q_goal: Array, limits: JointLimits, stream: ChunkStream) -> None:
+    def __init__(
+        self, q_goal: Array, limits: JointLimits, flange_speed: float, stream: ChunkStream
+    ) -> None:
         self._q_goal = q_goal
         self._limits = limits
+        self._flange_speed = flange_speed
         self._stream = stream
         self.late = False
         """Whether the attempt was given up because a chunk would have been late."""
@@ -89,7 +97,7 @@ class _Way:
             LimitViolationError: The way breaks a limit.
         """
         del state
-        self._motion = StartMotion(q, self._q_goal, self._limits)
+        self._motion = StartMotion(q, self._q_goal, self._limits, flange_speed=self._flange_speed)
         self._cycle, self._rest_ns, self.late = 0, _NEVER_NS, False
 
     def is_over(self, state: ArmState) -> bool:

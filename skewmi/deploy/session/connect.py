@@ -8,7 +8,9 @@ from collections.abc import Callable
 from skewmi.deploy.motion.planner import Planner
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.report import DeployReport
+from skewmi.deploy.robot.description import FLANGE_SPEED, RobotDescription
 from skewmi.deploy.safety.checks import ChunkChecks
+from skewmi.deploy.safety.limits import TCP_SPEED_LIMIT
 from skewmi.deploy.session.agreement import check_agreement, check_pace
 from skewmi.deploy.session.approach import Approach
 from skewmi.deploy.session.control_loop import ControlLoop
@@ -28,6 +30,7 @@ from skewmi.deploy.session.warm_up import warm_up
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.transport import Link
 from skewmi.policy_io import Policy
+from skewmi.trajectory import GRID_NS
 
 
 def connect(
@@ -63,29 +66,36 @@ def connect(
     status.clock_ns = described.clock_ns
 
     observer = Observer.open(link, layout, described)
-    times, checks = CycleTimes(), ChunkChecks(limits, workspace)
+    flange_speed = described.limits.get(FLANGE_SPEED, (TCP_SPEED_LIMIT,))[0]
+    times, checks = CycleTimes(), ChunkChecks(limits, workspace, flange_speed)
     stream = ChunkStream(
         robot.put_chunk,
         described.joint_names,
         checks.stages,
         times,
         lock_step=options.lock_step,
-        lead_ns=round(options.lead_ms * 1e6),
+        lead_ns=round(options.lead_ms * 1e6) + _late_by_cycle_ns(described),
     )
     loop = ControlLoop(robot, observer, stream, times, status, stop, lock_step=options.lock_step)
-    planner = Planner(workspace, limits)
+    planner = Planner(workspace, limits, flange_speed=flange_speed)
     pace = choose_pace(layout, options.speed, planner.hand_bounds.speed, limits.name)
     _tell_pace(pace, report, tell)
     shown = PolicyTopics.open(link, layout)
     motion = PolicyMotion(policy, planner, observer, stream, robot, shown, times, pace.step_cycles)
     preflight = Preflight(layout, options, limits, robot, observer, checks, status, stop, described)
-    approach = Approach(loop, stream, limits)
+    approach = Approach(loop, stream, limits, flange_speed)
     episodes = EpisodeRunner(
         layout, options, preflight, approach, motion, loop, checks, robot, status
     )
-    warm_up(policy, workspace, Planner(workspace, limits), checks, stream)
+    warm_up(policy, workspace, Planner(workspace, limits, flange_speed=flange_speed), checks, stream)
     status.fire(SessionEvent.CONNECTED, f"{described.backend} robot, {described.task}")
     return Session(options, episodes, status, stream, times, report, stop, tell)
+
+
+def _late_by_cycle_ns(described: RobotDescription) -> int:
+    """How much later than the grid a robot with a cycle of its own may tell its state, in steps."""
+    cycle_ns = described.cycle_ns
+    return 0 if GRID_NS % cycle_ns == 0 else -(-cycle_ns // GRID_NS) * GRID_NS
 
 
 def _tell_pace(pace: Pace, report: DeployReport, tell: Callable[[str], None]) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from skewmi.deploy.motion.start_motion import StartMotion
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.robot.description import RobotDescription
+from skewmi.deploy.robot.states import ServerState
 from skewmi.deploy.safety.checks import ChunkChecks
 from skewmi.deploy.session.agreement import check_agreement
 from skewmi.deploy.session.arm_state import ArmState
@@ -97,13 +98,13 @@ class Preflight:
             SkewmiError: The arm may not move; the message says why.
         """
         check_interrupt(self._stop)
+        self._robot.wait_until_ready(self._stop)
         # Armed first: a scene that somebody else works in must not be reset.
         self._robot.arm()
         description = self._robot.describe()
         check_agreement(self._layout, self._options.robot_model_hash, self._limits, description)
-        if description.simulated:
-            self._robot.reset_scene(seed)
-            description = self._robot.describe()
+        if description.resettable:
+            description = self._reset_scene(seed)
         if description.stops > self._known_stops:
             # Between two episodes a stop changes no state: nothing else tells of it.
             raise StopRequestedError("somebody has asked to stop since the last episode")
@@ -116,6 +117,15 @@ class Preflight:
         state = self._observer.fresh_state()
         check_interrupt(self._stop)
         return AtHold(state, q, q_goal)
+
+    def _reset_scene(self, seed: int) -> RobotDescription:
+        """Put the scene back, and command the robot again if it had to be moved for that."""
+        self._robot.reset_scene(seed)
+        description = self._robot.wait_until_ready(self._stop)
+        if description.state != ServerState.DISARMED.value or self._options.dry_run:
+            return description
+        self._robot.arm()
+        return self._robot.describe()
 
 
 def require_workspace(layout: PolicyLayout) -> Workspace:

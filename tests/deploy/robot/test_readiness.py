@@ -7,8 +7,10 @@ import pytest
 from lone_robot import LoneRobot
 from unready_robot import Unready
 
+from skewmi.deploy.motion.start_motion import StartMotion
 from skewmi.deploy.robot.backend import RobotState
 from skewmi.deploy.robot.backends.hold import HoldBackend
+from skewmi.deploy.robot.controller import SILENCE_NS
 from skewmi.deploy.robot.states import ServerState
 from skewmi.errors import CommandRefusedError
 from skewmi.robot_models import limits as joint_limits
@@ -42,7 +44,7 @@ def test_arming_is_refused_for_the_reason_that_the_robot_gives(unready: Unready)
     assert robot.controller.state is ServerState.HOLDING
 
 
-def test_a_robot_that_is_no_longer_ready_is_a_fault_once_it_is_armed(unready: Unready) -> None:
+def test_a_robot_that_is_no_longer_ready_at_rest_is_disarmed(unready: Unready) -> None:
     robot = LoneRobot(unready, LAB)
     unready.missing = "the motors are off"
     robot.run(3)
@@ -53,8 +55,48 @@ def test_a_robot_that_is_no_longer_ready_is_a_fault_once_it_is_armed(unready: Un
     assert robot.controller.state is ServerState.HOLDING
     unready.missing = "the motors are off"
     robot.run(1)
+    assert robot.controller.state is ServerState.DISARMED
+    assert robot.controller.machine.reason == "the motors are off"
+    assert robot.controller.lease.holder is None
+
+
+@pytest.mark.parametrize("stopping", [False, True])
+def test_a_robot_that_is_no_longer_ready_in_motion_is_a_fault(
+    unready: Unready, stopping: bool
+) -> None:
+    robot = LoneRobot(unready, LAB)
+    robot.requests.arm(OURS, 0)
+    start = robot.commanded
+    motion = StartMotion(start, start + 0.05, LAB).trajectory
+    assert robot.controller.receive(robot.payload(motion, robot.due + 3), OURS, 1, 0)
+    robot.run(10)
+    if stopping:
+        robot.requests.stop("test")
+    unready.missing = "the motors are off"
+    robot.run(1)
     assert robot.controller.state is ServerState.FAULT
     assert robot.controller.machine.reason == "the motors are off"
+    # It still has cycles, so the plan is followed to its end.
+    robot.run(300)
+    assert robot.controller.at_rest
+
+
+def test_a_robot_without_cycles_that_is_not_ready_forgets_its_plan(unready: Unready) -> None:
+    robot = LoneRobot(unready, LAB)
+    robot.requests.arm(OURS, 0)
+    start = robot.commanded
+    motion = StartMotion(start, start + 0.05, LAB).trajectory
+    assert robot.controller.receive(robot.payload(motion, robot.due + 3), OURS, 1, 0)
+    robot.run(10)
+    robot.controller.no_cycle(SILENCE_NS)
+    assert robot.controller.state is ServerState.EXECUTING, "it says nothing of being gone"
+    unready.missing = "silent"
+    robot.controller.no_cycle(SILENCE_NS - 1)
+    assert robot.controller.state is ServerState.FAULT
+    assert not robot.controller.at_rest
+    robot.controller.no_cycle(SILENCE_NS)
+    assert robot.controller.at_rest
+    np.testing.assert_array_equal(robot.commanded, robot.measured[:7])
 
 
 def test_an_arm_that_is_moved_by_hand_is_commanded_to_stay_where_it_is() -> None:

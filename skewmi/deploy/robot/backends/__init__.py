@@ -11,12 +11,16 @@ from importlib import import_module
 from types import MappingProxyType
 
 from skewmi.deploy.robot.backend import RobotBackend
+from skewmi.deploy.robot.backends.egm.options import EgmOptions, TaskFacts
+from skewmi.deploy.robot.gripper.base import Gripper
+from skewmi.deploy.wire.transport import Link
 from skewmi.errors import NotFoundError
 
 BACKENDS: Mapping[str, str] = MappingProxyType(
     {
         "sim": "skewmi.deploy.robot.backends.mujoco.backend:make",
         "hold": "skewmi.deploy.robot.backends.hold:make",
+        "egm": "skewmi.deploy.robot.backends.egm.backend:make",
     }
 )
 """Name -> module and function that makes it of `BackendOptions`."""
@@ -37,6 +41,14 @@ class BackendOptions:
     """From a command to the state that shows it, s, for robots that let one choose."""
     start_configuration: tuple[float, ...] | None = None
     """Where a simulated arm is at first, chain order, rad."""
+    egm: EgmOptions | None = None
+    """How to reach a controller."""
+    gripper: Gripper | None = None
+    """Of a robot whose arm knows nothing of one; closed with the robot."""
+    facts: TaskFacts | None = None
+    """What a robot is told of the task that it does not know itself."""
+    link: Link | None = None
+    """The robot server's, for a robot whose scene is served by somebody else."""
 
 
 def make_backend(name: str, options: BackendOptions) -> RobotBackend:

@@ -7,7 +7,8 @@ recording without a simulation, and to test the server at any cycle time.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from math import inf
 
 import numpy as np
 
@@ -36,6 +37,7 @@ class HoldBackend:
     """
 
     name = "hold"
+    admitted_speed = inf
     scene: Scene | None = None
 
     def __init__(
@@ -113,6 +115,10 @@ class HoldBackend:
                 f"finger opening {opening:.4g} m is outside 0..{yumi.GRIPPER.travel:g} m"
             )
         self._opening = opening
+
+    def told(self) -> Mapping[str, str]:
+        """Nothing more."""
+        return {}
 
     def close(self) -> None:
         """Nothing is left."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from math import inf
 
 import numpy as np
 
@@ -26,6 +27,7 @@ class MujocoBackend:
     """
 
     name = "sim"
+    admitted_speed = inf
     period_ns = GRID_NS
 
     def __init__(self, simulation: ArmSimulation | None = None, *, lock_step: bool = False) -> None:
@@ -97,6 +99,10 @@ class MujocoBackend:
                 f"finger opening {opening:.4g} m is outside 0..{FINGER_MAX:g} m"
             )
         self.simulation.open_gripper(opening)
+
+    def told(self) -> Mapping[str, str]:
+        """Nothing more."""
+        return {}
 
     def close(self) -> None:
         """Nothing is left."""

@@ -18,6 +18,7 @@ class MujocoScene:
         simulation: That it is a part of.
     """
 
+    simulated = True
     resettable = True
 
     def __init__(self, simulation: ArmSimulation) -> None:
