@@ -14,7 +14,6 @@ import numpy as np
 from skewmi.deploy.robot.backends.egm.packets import (
     FeedbackPacket,
     Motors,
-    Pose,
     ReferencePacket,
 )
 from skewmi.deploy.robot.backends.egm.program import ProgramSettings
@@ -27,10 +26,9 @@ from skewmi.deploy.robot.egm_emulator.controller_states import (
     mci_of,
     rapid_of,
 )
+from skewmi.deploy.robot.egm_emulator.poses import FlangePoses
 from skewmi.deploy.state_machine import StateMachine, Transition
 from skewmi.robot_models import yumi
-from skewmi.robot_models.frames import quaternion_from_rotation
-from skewmi.robot_models.kinematics import ArmKinematics
 from skewmi.robot_models.yumi import Side
 from skewmi.trajectory import Array
 
@@ -98,7 +96,7 @@ class EmulatedArm:
         """The event log, newest last."""
         self.sessions = 0
         self._law = ControlLaw(options.settings, q, options.period_s, options.lag_s)
-        self._forward = ArmKinematics(options.side).forward
+        self._poses = FlangePoses(options.side)
         self._cycles = 0
         self._state_since = 0
         self._sequence = 0
@@ -153,6 +151,7 @@ class EmulatedArm:
         options = self.options
         clock_us = options.start_us + round(self._cycles * options.period_s * 1e6)
         rapid = rapid_of(self.state)
+        flange, planned_flange = self._poses.of(q, self._law.desired)
         packet = FeedbackPacket(
             sequence=self._sequence,
             q=q,
@@ -164,8 +163,8 @@ class EmulatedArm:
             planned_q=self._law.desired.copy(),
             converged=self._converged,
             utilization=self._law.utilization if options.tells_utilization else None,
-            flange=self._pose(q),
-            planned_flange=self._pose(self._law.desired),
+            flange=flange,
+            planned_flange=planned_flange,
             robotware=options.robotware,
             move_index=self.sessions if options.robotware >= 7 else None,
         )
@@ -242,7 +241,3 @@ class EmulatedArm:
             self._state_since = self._cycles
             if reason in (COMM_ERROR, RANGE_ERROR, SYSTEM_FAILURE):
                 self.errors.append(reason)
-
-    def _pose(self, q: Array) -> Pose:
-        position, rotation = self._forward(q)
-        return Pose(position, quaternion_from_rotation(rotation))

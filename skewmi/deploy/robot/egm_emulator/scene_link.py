@@ -1,0 +1,165 @@
+"""The scene's side of the link: states in the robot server's time, resets on its request.
+
+The controller is there without it, and with a robot server that comes later or goes away: a thread
+of its own opens the link, as often as it takes. Everything else is called by the controller's loop
+and never waits.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import threading
+import time
+from collections.abc import Callable, Mapping
+
+from skewmi.deploy.robot.backend import SceneState
+from skewmi.deploy.robot.backends.egm.scene import CONTACT_PREFIX, EMULATOR_RESET, EMULATOR_STATUS
+from skewmi.deploy.wire import topics
+from skewmi.deploy.wire.channels import Request
+from skewmi.deploy.wire.messages import (
+    OK,
+    JointStates,
+    Status,
+    TriggerReply,
+    decode_joint_states,
+    encode_joint_states,
+    encode_status,
+)
+from skewmi.deploy.wire.transport import Link, TransportConfig
+from skewmi.errors import CommandRefusedError, SkewmiError, TransportError
+from skewmi.trajectory import Array
+
+_log = logging.getLogger(__name__)
+
+NODE_NAME = "skewmi_egm_emulator"
+STATUS_PERIOD_S = 0.1
+_RETRY_S = 0.5
+_LOST_S = 5.0
+"""A robot server that has said nothing for so long may be another one when it comes back."""
+
+
+class Opened:
+    """A link with all that the scene declares on it."""
+
+    def __init__(self, link: Link, reset: Callable[[Request], TriggerReply]) -> None:
+        self.link = link
+        self.joints = link.subscribe(topics.YUMI_JOINT_STATES)
+        self.scene = link.publisher(topics.YUMI_SCENE_STATES)
+        self.status = link.publisher(topics.YUMI_STATUS)
+        self.reset = link.service(EMULATOR_RESET, reset, polled=True)
+        self.heard_s = time.monotonic()
+
+
+class SceneLink:
+    """Publishes a scene to whichever robot server is there.
+
+    Args:
+        config: Where it is.
+        state: The scene's joints now.
+        contact: Largest contact since the last reset.
+        reset: Puts scene and arm back for a seed; returns where the arm is then.
+    """
+
+    def __init__(
+        self,
+        config: TransportConfig,
+        state: Callable[[], SceneState],
+        contact: Callable[[], Mapping[str, float]],
+        reset: Callable[[int], Array],
+    ) -> None:
+        self._config = config
+        self._state, self._contact, self._reset = state, contact, reset
+        self._opened: Opened | None = None
+        self._ended = threading.Event()
+        self._lost = threading.Event()
+        self._lost.set()
+        self._stamp_ns = -1
+        self._next_status_s = 0.0
+        self._thread = threading.Thread(target=self._keep_open, name="skewmi-scene", daemon=True)
+        self._thread.start()
+
+    @property
+    def connected(self) -> bool:
+        return self._opened is not None
+
+    def serve(self) -> None:
+        """Publish what is due, and answer a reset; called in every cycle."""
+        opened = self._opened
+        if opened is None:
+            return
+        try:
+            opened.reset.poll()
+            now_s = time.monotonic()
+            self._publish_states(opened, now_s)
+            if now_s >= self._next_status_s:
+                self._next_status_s = now_s + STATUS_PERIOD_S
+                opened.status.put(self._status())
+        except TransportError as error:
+            self._give_up(f"the link broke: {error}")
+            return
+        if now_s - opened.heard_s > _LOST_S:
+            self._give_up(f"nothing from a robot server for {_LOST_S:g} s")
+
+    def close(self) -> None:
+        """End the thread and the link."""
+        self._ended.set()
+        self._lost.set()
+        self._thread.join()
+        if self._opened is not None:
+            self._opened.link.close()
+
+    def _publish_states(self, opened: Opened, now_s: float) -> None:
+        """Scene states with the stamp of the newest joint states: the robot server's clock."""
+        sample = opened.joints.take()
+        if sample is None:
+            return
+        opened.heard_s = now_s
+        stamp_ns = decode_joint_states(sample.payload).stamp_ns
+        if stamp_ns == self._stamp_ns:
+            return
+        self._stamp_ns = stamp_ns
+        scene = self._state()
+        told = JointStates(
+            stamp_ns, scene.names, scene.position, scene.velocity, scene.position[:0]
+        )
+        opened.scene.put(encode_joint_states(told))
+
+    def _status(self) -> bytes:
+        values = {CONTACT_PREFIX + key: repr(value) for key, value in self._contact().items()}
+        stamp_ns = max(self._stamp_ns, 0)
+        return encode_status(Status(stamp_ns, EMULATOR_STATUS, OK, "emulated controller", values))
+
+    def _answer_reset(self, request: Request) -> TriggerReply:
+        try:
+            seed = int(json.loads(request.extra or b"0"))
+        except (ValueError, TypeError) as error:
+            raise CommandRefusedError(f"the seed of a reset is not a number: {error}") from error
+        return TriggerReply(True, json.dumps([float(value) for value in self._reset(seed)]))
+
+    def _give_up(self, reason: str) -> None:
+        _log.info("scene: %s", reason)
+        opened, self._opened = self._opened, None
+        if opened is not None:
+            # Closing may take a while: not in the controller's loop.
+            threading.Thread(target=opened.link.close, daemon=True).start()
+        self._lost.set()
+
+    def _keep_open(self) -> None:
+        said = False
+        while True:
+            self._lost.wait()
+            if self._ended.is_set():
+                return
+            try:
+                opened = Opened(Link.open(self._config, NODE_NAME), self._answer_reset)
+            except SkewmiError as error:
+                if not said:
+                    _log.info("scene: %s; trying again", error)
+                    said = True
+                self._ended.wait(_RETRY_S)
+                continue
+            said = False
+            _log.info("scene: connected to %s", self._config.where)
+            self._lost.clear()
+            self._opened = opened
