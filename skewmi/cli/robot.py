@@ -7,6 +7,7 @@ its reason. Ctrl-C brakes the arm and ends.
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import signal
@@ -14,23 +15,30 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from logging.handlers import QueueHandler, QueueListener
 from pathlib import Path
 from queue import SimpleQueue
 
 from rich.console import Console
 
+from skewmi.cli.egm_flags import BareEgmFlags, EgmFlags, task_facts
 from skewmi.cli.interrupt import signals_to_handle
 from skewmi.cli.robot_flags import RobotName
 from skewmi.cli.task_flags import TaskName
 from skewmi.deploy.robot.backends import BackendOptions
 from skewmi.deploy.robot.description import RobotDescription
+from skewmi.deploy.robot.egm_emulator.controller_states import ArmState
+from skewmi.deploy.robot.egm_emulator.emulator import Emulator
+from skewmi.deploy.robot.process import EMULATOR
 from skewmi.deploy.robot.run import serve_robot
+from skewmi.deploy.state_machine import Transition
 from skewmi.deploy.wire.domain import ros_domain
 from skewmi.deploy.wire.transport import TransportConfig
 from skewmi.robot_models import limits as joint_limits
 from skewmi.sim import tasks
+
+_log = logging.getLogger("skewmi.robot")
 
 
 @dataclass(frozen=True)
@@ -38,7 +46,8 @@ class RobotCommand:
     """Options of `skewmi robot`."""
 
     backend: RobotName = "sim"
-    """What the robot is: the simulated YuMi, or one that holds what it is commanded."""
+    """What the robot is: the simulated YuMi, one that holds what it is commanded, a real one behind
+    ABB's EGM, or an emulated controller for the latter."""
     task: TaskName = field(default_factory=tasks.default)
     """Whose scene stands in front of the robot."""
     variation: str | None = None
@@ -56,6 +65,8 @@ class RobotCommand:
     """Advance only when the session's chunk has arrived: as fast as possible, repeatable."""
     zenoh_config: Path | None = None
     """Zenoh configuration file (JSON5 or YAML), such as `skewmi certificates` makes."""
+    egm: BareEgmFlags = field(default_factory=EgmFlags)
+    """Of a real controller, and of an emulated one."""
     json: bool = False
     """Print the robot server's description as one JSON document once it is ready."""
     end_with_input: bool = False
@@ -77,6 +88,8 @@ def run_robot(options: RobotCommand) -> int:
     if options.end_with_input:
         threading.Thread(target=_wait_for_end_of_input, args=(stop,), daemon=True).start()
     console = Console(stderr=True)
+    if options.backend == EMULATOR:
+        return _run_emulator(options, stop, console)
 
     def ready(description: RobotDescription) -> None:
         if options.json:
@@ -99,12 +112,7 @@ def run_robot(options: RobotCommand) -> int:
     with _log_told(console):
         serve_robot(
             options.backend,
-            BackendOptions(
-                task=options.task,
-                variation=options.variation,
-                lock_step=options.lock_step,
-                delay_s=None if options.delay_ms is None else options.delay_ms / 1e3,
-            ),
+            _backend_options(options),
             config,
             profile,
             stop,
@@ -112,6 +120,50 @@ def run_robot(options: RobotCommand) -> int:
         )
     with suppress(OSError):  # The terminal may be gone.
         console.print("arm at rest, robot server ended", highlight=False)
+    return 0
+
+
+def _backend_options(options: RobotCommand) -> BackendOptions:
+    common = BackendOptions(
+        task=options.task,
+        variation=options.variation,
+        lock_step=options.lock_step,
+        delay_s=None if options.delay_ms is None else options.delay_ms / 1e3,
+    )
+    if options.backend != "egm":
+        return common
+    facts = task_facts(options.task)
+    return replace(
+        common, egm=options.egm.bridge(), facts=facts, gripper=options.egm.make_gripper(facts)
+    )
+
+
+def _run_emulator(options: RobotCommand, stop: threading.Event, console: Console) -> int:
+    """An emulated controller instead of a robot server."""
+    emulated = options.egm.emulator(options.task, options.variation)
+    config = TransportConfig.for_client(
+        options.egm.connect,
+        zenoh_config=options.zenoh_config,
+        domain=ros_domain(options.domain),
+    )
+
+    def tell(side: str, transition: Transition[ArmState]) -> None:
+        _log.info("%s arm: %s", side, transition)
+
+    with _log_told(console), Emulator(emulated, config, tell) as emulator:
+        left = emulated.remote_left
+        if options.json:
+            ready = {"backend": EMULATOR, "remote": emulated.remote, "remote_left": left}
+            print(json.dumps(ready), flush=True)
+        console.print(
+            f"[bold]emulated controller[/] ({options.task}) sends to {emulated.remote}"
+            f"{'' if left is None else f' and {left}'}: RobotWare {emulated.robotware}, "
+            f"{1.0 / emulated.period_s:.1f} Hz, lag {emulated.lag_ms:g} ms. Ctrl-C ends it.",
+            highlight=False,
+        )
+        emulator.run(stop)
+    with suppress(OSError):  # The terminal may be gone.
+        console.print("emulated controller ended", highlight=False)
     return 0
 
 

@@ -7,6 +7,7 @@ from typing import Annotated
 import tyro
 
 from skewmi.deploy.robot.backends import BACKENDS
+from skewmi.deploy.robot.process import EMULATOR
 
-RobotName = Annotated[str, tyro.conf.arg(metavar="{" + ",".join(BACKENDS) + "}")]
+RobotName = Annotated[str, tyro.conf.arg(metavar="{" + ",".join((*BACKENDS, EMULATOR)) + "}")]
 """One of the robots of this installation; help texts list them."""

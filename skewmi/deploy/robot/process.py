@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import socket
 import subprocess
 import threading
@@ -10,8 +11,13 @@ from contextlib import contextmanager
 from tempfile import TemporaryFile
 
 from skewmi.child import child_command
-from skewmi.deploy.robot.description import RobotDescription
 from skewmi.errors import TransportError
+
+EMULATOR = "egm-emulator"
+"""A robot that is two processes: the bridge to a controller, and an emulated controller."""
+
+EMULATED_COMM_TIMEOUT_S = 0.1
+"""CommTimeout of the emulated controller that is started with its bridge: what `rapid/` sets."""
 
 _READY_TIMEOUT_S = 60.0
 _END_TIMEOUT_S = 10.0
@@ -29,10 +35,10 @@ def spawn_robot(
 ) -> Iterator[str]:
     """Run `skewmi robot --backend NAME` on a free port until the block is left.
 
-    The child ends with us even if we are killed: its standard input is a pipe of ours.
+    The children end with us even if we are killed: their standard input is a pipe of ours.
 
     Args:
-        name: Of the robot, one of `backends.BACKENDS`.
+        name: Of the robot: one of `backends.BACKENDS`, or `EMULATOR`.
         task: Whose scene.
         limits: Name of the limit profile that it enforces.
         lock_step: See `skewmi robot --help`.
@@ -46,14 +52,28 @@ def spawn_robot(
         TransportError: It ended, or was not ready in time; with its own last words.
     """
     locator = f"tcp/127.0.0.1:{free_port()}"
-    command = child_command("-m", "skewmi.cli.main", "robot", "--backend", name)
-    command += ["--task", task, "--limits", limits, "--listen", locator]
-    command += ["--domain", str(domain)]
-    command += ["--json", "--end-with-input", *(["--lock-step"] if lock_step else [])]
-    command += [] if variation is None else ["--variation", variation]
+    server = ["--task", task, "--limits", limits, "--listen", locator, "--domain", str(domain)]
+    server += ["--lock-step"] if lock_step else []
+    varied = [] if variation is None else ["--variation", variation]
+    if name != EMULATOR:
+        with _child(name, [*server, *varied]):
+            yield locator
+        return
+    right, left = (f"127.0.0.1:{free_port(socket.SOCK_DGRAM)}" for _ in range(2))
+    controller = ["--task", task, "--egm-remote", right, "--egm-remote-left", left]
+    controller += ["--connect", locator, "--domain", str(domain)]
+    controller += ["--egm-comm-timeout-s", f"{EMULATED_COMM_TIMEOUT_S}"]
+    bridge = [*server, "--egm-listen", right, "--egm-listen-left", left]
+    with _child("egm", bridge), _child(name, [*controller, *varied]):
+        yield locator
+
+
+@contextmanager
+def _child(backend: str, options: list[str]) -> Iterator[None]:
+    command = child_command("-m", "skewmi.cli.main", "robot", "--backend", backend)
     with TemporaryFile() as words:
         child = subprocess.Popen(
-            command,
+            [*command, *options, "--json", "--end-with-input"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=words,
@@ -65,7 +85,7 @@ def spawn_robot(
         try:
             assert child.stdout is not None
             watchdog.start()
-            if not any(_describes_a_robot(line) for line in child.stdout):
+            if not any(_is_ready(line, backend) for line in child.stdout):
                 child.wait(_END_TIMEOUT_S)
                 words.seek(0)
                 said = words.read().decode(errors="replace").strip().splitlines()
@@ -73,7 +93,7 @@ def spawn_robot(
                     f"the robot did not start: {said[-1] if said else 'it was silent'}"
                 )
             watchdog.cancel()
-            yield locator
+            yield
         finally:
             watchdog.cancel()
             _end(child)
@@ -92,17 +112,16 @@ def _end(child: subprocess.Popen[bytes]) -> None:
         child.stdout.close()
 
 
-def _describes_a_robot(line: bytes) -> bool:
+def _is_ready(line: bytes, backend: str) -> bool:
     """Whether a line is what `skewmi robot --json` prints once it is ready, and nobody else's."""
     try:
-        RobotDescription.from_json(line.decode(errors="replace"))
-    except TransportError:
+        return bool(json.loads(line)["backend"] == backend)
+    except (ValueError, TypeError, KeyError):
         return False
-    return True
 
 
-def free_port() -> int:
-    """A TCP port on the loopback interface that nobody listens on at the moment."""
-    with socket.socket() as probe:
+def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
+    """A TCP (or UDP) port on the loopback interface that nobody listens on at the moment."""
+    with socket.socket(socket.AF_INET, kind) as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
