@@ -80,7 +80,12 @@ def test_a_silent_partner_lets_it_run_on(speed_deg: float, beyond_deg: float) ->
 
 
 @settings(deadline=None, max_examples=30)
-@given(st.floats(1.0, 20.0), st.floats(0.05, 1.0), st.floats(0.0, 1.0), st.floats(-0.5, 0.5))
+@given(
+    st.floats(1.0, 20.0),
+    st.floats(0.05, 1.0),
+    st.just(1.0) | st.floats(0.0, 1.0),
+    st.floats(-0.5, 0.5),
+)
 def test_the_bound_on_running_on_holds(
     gain: float, comm_timeout_s: float, feed_forward: float, speed: float
 ) -> None:
@@ -99,7 +104,8 @@ def test_the_bound_on_running_on_holds(
     # Both count cycles, and neither begins within one.
     cycle = PERIOD_S * abs(speed)
     assert beyond <= bound + 0.1 * cycle + 1e-7
-    assert bound == 0.0 or beyond >= bound - 3.0 * cycle - 1e-7
+    # With less than all of it the bound is that of a motion that has just begun.
+    assert feed_forward < 1.0 or beyond >= bound - 3.0 * cycle - 1e-7
 
 
 def test_without_feed_forward_it_does_not_run_on() -> None:
