@@ -126,7 +126,7 @@ class EgmFlags:
             return None
         if self.gripper == "fixed":
             return FixedGripper(opening)
-        return RwsGripper(RwsClient(self.rws_url, self.rws_user, self.rws_password), opening)
+        return RwsGripper.open(RwsClient(self.rws_url, self.rws_user, self.rws_password), opening)
 
 
 BareEgmFlags = Annotated[EgmFlags, tyro.conf.arg(name="")]

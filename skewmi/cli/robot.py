@@ -150,7 +150,7 @@ def _run_emulator(options: RobotCommand, stop: threading.Event, console: Console
     def tell(side: str, transition: Transition[ArmState]) -> None:
         _log.info("%s arm: %s", side, transition)
 
-    with _log_told(console), Emulator(emulated, config, tell) as emulator:
+    with _log_told(console), Emulator.open(emulated, config, tell) as emulator:
         left = emulated.remote_left
         if options.json:
             ready = {"backend": EMULATOR, "remote": emulated.remote, "remote_left": left}

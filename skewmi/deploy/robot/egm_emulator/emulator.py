@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -28,6 +28,9 @@ from skewmi.trajectory import Array
 
 REAL_RATE_HZ = 1000.0 / 4.032
 """Of a real controller."""
+
+
+OnTransition = Callable[[Side, Transition[ArmState]], None]
 
 
 @dataclass(frozen=True)
@@ -73,47 +76,61 @@ class EmulatorOptions:
 
 
 class Emulator:
-    """A controller with its scene; a context manager that closes its sockets and links.
+    """A controller with its scene; `open` makes one, and as a context manager it closes itself.
 
     Args:
         options: How it is.
-        config: Where a robot server listens for scene states; None for a controller alone.
-        on_transition: Called after every change of an arm's state.
-
-    Raises:
-        NotFoundError: No such task or variation.
-        ConfigurationError: An address or the variation makes no sense.
-        TransportError: No socket can be opened.
+        simulation: Of the right arm and the scene.
+        controller: With that behind it.
     """
 
     def __init__(
-        self,
-        options: EmulatorOptions,
-        config: TransportConfig | None = None,
-        on_transition: Callable[[Side, Transition[ArmState]], None] | None = None,
+        self, options: EmulatorOptions, simulation: ArmSimulation, controller: EmulatedController
     ) -> None:
         self.options = options
+        self.simulation = simulation
+        self.controller = controller
+        self.pace = RealTimePace(round(1e9 * options.period_s))
+        self.scene: SceneLink | None = None
+
+    @staticmethod
+    def open(
+        options: EmulatorOptions,
+        config: TransportConfig | None = None,
+        on_transition: OnTransition | None = None,
+    ) -> Emulator:
+        """Open the controller's sockets, and begin to look for a robot server.
+
+        Args:
+            options: How it is.
+            config: Where a robot server listens for scene states; None for a controller alone.
+            on_transition: Called after every change of an arm's state.
+
+        Raises:
+            NotFoundError: No such task or variation.
+            ConfigurationError: An address or the variation makes no sense.
+            TransportError: No socket can be opened.
+        """
         remotes: dict[Side, tuple[str, int]] = {"right": parse_address(options.remote)}
         if options.remote_left is not None:
             remotes["left"] = parse_address(options.remote_left)
-        self.simulation = ArmSimulation(options.task, None, options.variation)
-        start = self.simulation.robot_state(0).position[:7]
-        plant = ScenePlant(self.simulation, options.period_s)
+        simulation = ArmSimulation(options.task, None, options.variation)
+        start = simulation.robot_state(0).position[:7]
         arms = {
-            side: self._arm(side, start if side == "right" else _HOME, on_transition)
+            side: _arm(options, side, start if side == "right" else _HOME, on_transition)
             for side in remotes
         }
-        wires = {side: Wires(remote, options.network) for side, remote in remotes.items()}
-        self.controller = EmulatedController(arms, wires, plant)
-        self.pace = RealTimePace(round(1e9 * options.period_s))
-        self.scene: SceneLink | None = None
+        wires = {
+            side: Wires.open(remote, replace(options.network, seed=options.network.seed + index))
+            for index, (side, remote) in enumerate(remotes.items())
+        }
+        plant = ScenePlant(simulation, options.period_s)
+        emulator = Emulator(options, simulation, EmulatedController(arms, wires, plant))
         if config is not None:
-            self.scene = SceneLink(
-                config,
-                self.simulation.scene_state,
-                self.simulation.contact.summary,
-                self.reset,
+            emulator.scene = SceneLink.open(
+                config, simulation.scene_state, simulation.contact.summary, emulator.reset
             )
+        return emulator
 
     def __enter__(self) -> Emulator:
         return self
@@ -157,19 +174,16 @@ class Emulator:
             self.scene.close()
         self.controller.close()
 
-    def _arm(
-        self,
-        side: Side,
-        q: Array,
-        on_transition: Callable[[Side, Transition[ArmState]], None] | None,
-    ) -> EmulatedArm:
-        options = self.options
-        arm_options = ArmOptions(
-            side, options.program, options.period_s, options.lag_ms / 1e3, options.robotware
-        )
-        if on_transition is None:
-            return EmulatedArm(arm_options, q)
-        return EmulatedArm(arm_options, q, lambda transition: on_transition(side, transition))
+
+def _arm(
+    options: EmulatorOptions, side: Side, q: Array, on_transition: OnTransition | None
+) -> EmulatedArm:
+    arm_options = ArmOptions(
+        side, options.program, options.period_s, options.lag_ms / 1e3, options.robotware
+    )
+    if on_transition is None:
+        return EmulatedArm(arm_options, q)
+    return EmulatedArm(arm_options, q, lambda transition: on_transition(side, transition))
 
 
 _HOME: Array = np.array(yumi.HOME["left"])

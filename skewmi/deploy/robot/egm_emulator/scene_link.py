@@ -12,11 +12,12 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 from skewmi.deploy.robot.backend import SceneState
 from skewmi.deploy.robot.backends.egm.scene import CONTACT_PREFIX, EMULATOR_RESET, EMULATOR_STATUS
 from skewmi.deploy.wire import topics
-from skewmi.deploy.wire.channels import Request
+from skewmi.deploy.wire.channels import LatestReader, Publisher, Request, Service
 from skewmi.deploy.wire.messages import (
     OK,
     JointStates,
@@ -39,20 +40,33 @@ _LOST_S = 5.0
 """A robot server that has said nothing for so long may be another one when it comes back."""
 
 
+@dataclass
 class Opened:
     """A link with all that the scene declares on it."""
 
-    def __init__(self, link: Link, reset: Callable[[Request], TriggerReply]) -> None:
-        self.link = link
-        self.joints = link.subscribe(topics.YUMI_JOINT_STATES)
-        self.scene = link.publisher(topics.YUMI_SCENE_STATES)
-        self.status = link.publisher(topics.YUMI_STATUS)
-        self.reset = link.service(EMULATOR_RESET, reset, polled=True)
-        self.heard_s = time.monotonic()
+    link: Link
+    joints: LatestReader
+    scene: Publisher
+    status: Publisher
+    reset: Service
+    heard_s: float
+    """When the robot server was heard of last."""
+
+    @staticmethod
+    def on(link: Link, reset: Callable[[Request], TriggerReply]) -> Opened:
+        """Declare it."""
+        return Opened(
+            link,
+            link.subscribe(topics.YUMI_JOINT_STATES),
+            link.publisher(topics.YUMI_SCENE_STATES),
+            link.publisher(topics.YUMI_STATUS),
+            link.service(EMULATOR_RESET, reset, polled=True),
+            time.monotonic(),
+        )
 
 
 class SceneLink:
-    """Publishes a scene to whichever robot server is there.
+    """Publishes a scene to whichever robot server is there; `open` makes one and starts its thread.
 
     Args:
         config: Where it is.
@@ -77,7 +91,18 @@ class SceneLink:
         self._stamp_ns = -1
         self._next_status_s = 0.0
         self._thread = threading.Thread(target=self._keep_open, name="skewmi-scene", daemon=True)
-        self._thread.start()
+
+    @staticmethod
+    def open(
+        config: TransportConfig,
+        state: Callable[[], SceneState],
+        contact: Callable[[], Mapping[str, float]],
+        reset: Callable[[int], Array],
+    ) -> SceneLink:
+        """Begin to look for a robot server; see the class."""
+        link = SceneLink(config, state, contact, reset)
+        link._thread.start()
+        return link
 
     @property
     def connected(self) -> bool:
@@ -152,7 +177,7 @@ class SceneLink:
             if self._ended.is_set():
                 return
             try:
-                opened = Opened(Link.open(self._config, NODE_NAME), self._answer_reset)
+                opened = Opened.on(Link.open(self._config, NODE_NAME), self._answer_reset)
             except SkewmiError as error:
                 if not said:
                     _log.info("scene: %s; trying again", error)

@@ -50,25 +50,14 @@ class Wires:
     """One UdpUc device: what is sent to it and what is read from it. Used by one thread.
 
     Args:
-        remote: Address and port of the device.
+        connected: A non-blocking socket to the device.
         options: What the network does.
-
-    Raises:
-        TransportError: No socket can be opened.
     """
 
-    def __init__(self, remote: tuple[str, int], options: NetworkOptions) -> None:
+    def __init__(self, connected: socket.socket, options: NetworkOptions) -> None:
+        self._socket = connected
         self._loss, self._jitter_ns = options.loss, round(1e6 * options.jitter_ms)
-        self._rng = np.random.default_rng((options.seed, remote[1]))
-        try:
-            self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-            self._socket.setblocking(False)
-            # Connected: the system lets nobody else's datagrams in.
-            self._socket.connect(remote)
-        except OSError as error:
-            raise TransportError(
-                f"cannot send EGM packets to {remote[0]}:{remote[1]}: {error.strerror}"
-            ) from error
+        self._rng = np.random.default_rng(options.seed)
         self._order = count()
         self._outgoing: list[tuple[int, int, bytes]] = []
         self._incoming: list[tuple[int, int, bytes]] = []
@@ -78,6 +67,28 @@ class Wires:
         self.refusal = ""
         """Why the newest of them was not."""
         self.unsent = 0
+
+    @staticmethod
+    def open(remote: tuple[str, int], options: NetworkOptions) -> Wires:
+        """Open a socket to a device.
+
+        Args:
+            remote: Its address and port.
+            options: See the class.
+
+        Raises:
+            TransportError: None can be opened.
+        """
+        try:
+            opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            opened.setblocking(False)
+            # Connected: the system lets nobody else's datagrams in.
+            opened.connect(remote)
+        except OSError as error:
+            raise TransportError(
+                f"cannot send EGM packets to {remote[0]}:{remote[1]}: {error.strerror}"
+            ) from error
+        return Wires(opened, options)
 
     def send(self, packet: FeedbackPacket, now_ns: int) -> None:
         """Give a packet to the network."""

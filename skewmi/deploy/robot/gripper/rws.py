@@ -61,10 +61,10 @@ class GripperState:
 
 
 class RwsGripper:
-    """Satisfies `Gripper`.
+    """Satisfies `Gripper`; `open` makes one and starts its thread.
 
     Args:
-        client: Of the controller; from now on used by this gripper's thread alone.
+        client: Of the controller; used by this gripper's thread alone.
         opening: What to tell before the gripper has told, m.
     """
 
@@ -79,7 +79,13 @@ class RwsGripper:
         self._ended = threading.Event()
         self._woken = threading.Event()
         self._thread = threading.Thread(target=self._run, name="skewmi-gripper", daemon=True)
-        self._thread.start()
+
+    @staticmethod
+    def open(client: RwsClient, opening: float) -> RwsGripper:
+        """Begin to talk to the controller; see the class."""
+        gripper = RwsGripper(client, opening)
+        gripper._thread.start()
+        return gripper
 
     @property
     def opening(self) -> float:

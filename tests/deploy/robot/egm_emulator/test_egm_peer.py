@@ -169,7 +169,7 @@ def test_the_peer_drives_both_arms(robotware: int) -> None:
     peer = subprocess.Popen([*PROGRAM, "drive", *tasks], stdout=subprocess.PIPE, text=True)
     assert peer.stdout is not None
     assert peer.stdout.readline() == "ready\n"
-    wires = {side: Wires(("127.0.0.1", ports[side]), NetworkOptions()) for side in ARMS}
+    wires = {side: Wires.open(("127.0.0.1", ports[side]), NetworkOptions()) for side in ARMS}
     controller = EmulatedController(arms, wires, IdealPlant(homes))
     controller.start()
     ended = threading.Event()

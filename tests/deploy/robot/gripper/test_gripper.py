@@ -53,7 +53,7 @@ class RapidTask:
 
 @pytest.fixture
 def gripper(server: RwsServer) -> Iterator[RwsGripper]:
-    opened = RwsGripper(RwsClient(server.url, timeout_s=5.0), 0.010)
+    opened = RwsGripper.open(RwsClient(server.url, timeout_s=5.0), 0.010)
     yield opened
     opened.close()
 

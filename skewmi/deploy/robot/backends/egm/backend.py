@@ -77,7 +77,7 @@ class EgmBackend:
         """
         del may_advance
         options, address = self.options, parse_address(self.options.listen)
-        self.right = self._channel(UdpLink(address), "right")
+        self.right = self._channel(UdpLink.open(address), "right")
         left = self._open_left((self.right.link.address[0], self.right.link.address[1] - 1))
         self.left = None if left is None else LeftArm(self._channel(left, "left"))
         self._poll.register(self.right.link, select.POLLIN)
@@ -194,9 +194,9 @@ class EgmBackend:
         if where == "none":
             return None
         if where is not None:
-            return UdpLink(parse_address(where))
+            return UdpLink.open(parse_address(where))
         try:
-            return UdpLink(beside)
+            return UdpLink.open(beside)
         except (TransportError, OverflowError) as error:
             _log.warning("the left arm is not watched: %s", error)
             return None
@@ -218,5 +218,5 @@ def make(options: BackendOptions) -> RobotBackend:
             "a real robot is as it is; give --variation to the egm-emulator, or leave it out"
         )
     egm = EgmOptions() if options.egm is None else options.egm
-    scene = None if options.facts is None else EgmScene(options.facts, options.link)
+    scene = None if options.facts is None else EgmScene.open(options.facts, options.link)
     return EgmBackend(egm, options.gripper, scene)

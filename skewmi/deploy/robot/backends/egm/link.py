@@ -79,31 +79,40 @@ class UdpLink:
     """A bound socket. Used by one thread.
 
     Args:
-        listen: Address and port to bind; port 0 takes a free one.
+        bound: The socket, non-blocking.
         now_ns: The monotonic clock; tests have their own.
-
-    Raises:
-        TransportError: It cannot be bound.
     """
 
-    def __init__(
-        self, listen: tuple[str, int], now_ns: Callable[[], int] = time.monotonic_ns
-    ) -> None:
+    def __init__(self, bound: socket.socket, now_ns: Callable[[], int] = time.monotonic_ns) -> None:
         self.now_ns = now_ns
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket = bound
+        self._stamped = _ask_for_stamps(bound)
+        self._poll = select.poll()
+        self._poll.register(bound, select.POLLIN)
+
+    @staticmethod
+    def open(listen: tuple[str, int], now_ns: Callable[[], int] = time.monotonic_ns) -> UdpLink:
+        """Bind a socket.
+
+        Args:
+            listen: Address and port; port 0 takes a free one.
+            now_ns: See the class.
+
+        Raises:
+            TransportError: It cannot be bound.
+        """
+        opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
-            self._socket.setblocking(False)
-            self._stamped = self._ask_for_stamps()
-            self._socket.bind(listen)
+            opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+            opened.setblocking(False)
+            opened.bind(listen)
         except OSError as error:
-            self._socket.close()
+            opened.close()
             raise TransportError(
                 f"cannot listen for a controller on {listen[0]}:{listen[1]}/udp: {error.strerror}; "
                 "is another bridge running, and is the address one of this computer's?"
             ) from error
-        self._poll = select.poll()
-        self._poll.register(self._socket, select.POLLIN)
+        return UdpLink(opened, now_ns)
 
     def __enter__(self) -> UdpLink:
         return self
@@ -161,15 +170,16 @@ class UdpLink:
     def close(self) -> None:
         self._socket.close()
 
-    def _ask_for_stamps(self) -> bool:
-        """Ask the kernel to say when a datagram arrived, not when we came to read it."""
-        if not sys.platform.startswith("linux"):
-            return False
-        try:
-            self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
-        except OSError:
-            return False
-        return True
+
+def _ask_for_stamps(bound: socket.socket) -> bool:
+    """Ask the kernel to say when a datagram arrived, not when we came to read it."""
+    if not sys.platform.startswith("linux"):
+        return False
+    try:
+        bound.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+    except OSError:
+        return False
+    return True
 
 
 def _stamp_ns(ancillary: list[tuple[int, int, bytes]], fallback_ns: int) -> int:

@@ -41,23 +41,30 @@ class EgmScene:
     Args:
         facts: Of the task.
         link: An open session, to find an emulator on; None if there is none to be found.
+        status: What is told of whom on that link.
     """
 
     simulated = False
 
-    def __init__(self, facts: TaskFacts, link: Link | None) -> None:
+    def __init__(
+        self, facts: TaskFacts, link: Link | None = None, status: LatestReader | None = None
+    ) -> None:
         self.task = facts.task
         self.layout_hashes = facts.layout_hashes
         self.workspace = facts.workspace
         self.shapes_json = facts.shapes_json
         self._link = link
-        self._status: LatestReader | None = None
-        if link is not None:
-            self._status = link.subscribe(YUMI_STATUS, depth=None)
+        self._status = status
         self.on_reset: Callable[[], None] = lambda: None
         """Called once the emulator has ended the arm's session for a reset."""
         self._heard_s = -_HEARD_S
         self._contact: dict[str, float] = {}
+
+    @staticmethod
+    def open(facts: TaskFacts, link: Link | None) -> EgmScene:
+        """Listen for an emulator on a link, if there is one."""
+        status = None if link is None else link.subscribe(YUMI_STATUS, depth=None)
+        return EgmScene(facts, link, status)
 
     @property
     def resettable(self) -> bool:

@@ -48,7 +48,7 @@ class Controller(HandController):
 
 @pytest.fixture
 def channel() -> Iterator[ArmChannel]:
-    with UdpLink(("127.0.0.1", 0), Clock()) as link:
+    with UdpLink.open(("127.0.0.1", 0), Clock()) as link:
         yield ArmChannel(link, RAMP_NS)
 
 
@@ -236,7 +236,7 @@ def test_another_sender_is_not_listened_to(channel: ArmChannel, controller: Cont
 
 
 def test_another_host_is_told(controller: Controller) -> None:
-    with UdpLink(("127.0.0.1", 0)) as link:
+    with UdpLink.open(("127.0.0.1", 0)) as link:
         channel = ArmChannel(link, RAMP_NS, controller="192.168.125.1")
         with HandController(link.address) as stranger:
             stranger.send()

@@ -21,7 +21,7 @@ from skewmi.robot_models import yumi
 
 @pytest.fixture
 def link() -> Iterator[UdpLink]:
-    with UdpLink(("127.0.0.1", 0)) as opened:
+    with UdpLink.open(("127.0.0.1", 0)) as opened:
         yield opened
 
 
@@ -75,7 +75,7 @@ def test_sending_says_whether_the_system_took_it(link: UdpLink, sender: socket.s
 
 def test_a_taken_port_is_told(link: UdpLink) -> None:
     with pytest.raises(TransportError, match=str(link.address[1])):
-        UdpLink(link.address)
+        UdpLink.open(link.address)
 
 
 @pytest.mark.parametrize("text", ["6512", "127.0.0.1:", ":6512", "127.0.0.1:70000", "1.2.3:x", ""])
