@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 
 from skewmi.deploy.robot.backend import RobotBackend, RobotState
 from skewmi.deploy.robot.controller import RobotController
@@ -15,6 +16,7 @@ from skewmi.deploy.wire.transport import Link
 from skewmi.trajectory import CYCLE_NS
 
 _STATUS_PERIOD_NS = 500_000_000
+_REFUSALS_PERIOD_NS = 50_000_000
 _SHOWN_REFUSALS = 3
 
 
@@ -36,6 +38,10 @@ class StatePublisher:
         self._next_ns = self._stamp_ns = -1
         self._next_status_ns = 0
         self._refused_told = 0
+        self._refused_of_commander_told = 0
+        self._told_ns = 0
+        self._told: Mapping[str, str] = {}
+        self._next_told_ns = 0
 
     def states(self, state: RobotState) -> None:
         """Publish the newest cycle's states, if the first `CYCLE_NS` after the last are over.
@@ -59,9 +65,15 @@ class StatePublisher:
         self._joint_states.put(encode_joint_states(joints))
 
     def status(self) -> None:
-        """Publish the status if something was refused, or it is time for it."""
-        now_ns, refused = time.monotonic_ns(), self._controller.refusals.count
-        if refused == self._refused_told and now_ns < self._next_status_ns:
+        """Publish the status if it is time for it: at once if the commander was refused something,
+        soon if anybody else was, who may try by the hundred."""
+        now_ns, refusals = time.monotonic_ns(), self._controller.refusals
+        due_ns = self._next_status_ns
+        if refusals.of_commander != self._refused_of_commander_told:
+            due_ns = now_ns
+        elif refusals.count != self._refused_told:
+            due_ns = min(due_ns, self._told_ns + _REFUSALS_PERIOD_NS)
+        if now_ns < due_ns:
             return
         self._next_status_ns = now_ns + _STATUS_PERIOD_NS
         self.tell(self._controller.clock_ns)
@@ -69,7 +81,9 @@ class StatePublisher:
     def tell(self, stamp_ns: int, transition: Transition[ServerState] | None = None) -> None:
         """Publish the status now."""
         controller = self._controller
+        self._told_ns = time.monotonic_ns()
         self._refused_told = controller.refusals.count
+        self._refused_of_commander_told = controller.refusals.of_commander
         # The commander's own come first: they are what it has to answer for.
         refusals = sorted(controller.refusals.take(), key=lambda r: not r.of_commander)
         status = RobotStatus(
@@ -84,8 +98,16 @@ class StatePublisher:
             refused_of_commander=controller.refusals.of_commander,
             commander=controller.lease.holder or b"",
             slips=self._backend.slips,
-            told=self._backend.told(),
+            told=self._told_by_robot(transition is not None),
             source=None if transition is None else transition.source,
             event=None if transition is None else ServerEvent(transition.event),
         )
         self._status.put(status.encode())
+
+    def _told_by_robot(self, anew: bool) -> Mapping[str, str]:
+        """What the robot says of itself: now and then, since refusals may come by the hundred."""
+        now_ns = time.monotonic_ns()
+        if anew or now_ns >= self._next_told_ns:
+            self._next_told_ns = now_ns + _STATUS_PERIOD_NS
+            self._told = self._backend.told()
+        return self._told
