@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from skewmi.deploy.robot.backend import SceneState
-from skewmi.deploy.robot.backends.egm.scene import CONTACT_PREFIX, EMULATOR_RESET, EMULATOR_STATUS
+from skewmi.deploy.robot.backends.egm.scene import EMULATOR_RESET, EMULATOR_STATUS
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.channels import LatestReader, Publisher, Request, Service
 from skewmi.deploy.wire.messages import (
@@ -59,7 +59,7 @@ class Opened:
             link,
             link.subscribe(topics.YUMI_JOINT_STATES),
             link.publisher(topics.YUMI_SCENE_STATES),
-            link.publisher(topics.YUMI_STATUS),
+            link.publisher(EMULATOR_STATUS),
             link.service(EMULATOR_RESET, reset, polled=True),
             time.monotonic(),
         )
@@ -151,9 +151,9 @@ class SceneLink:
         opened.scene.put(encode_joint_states(told))
 
     def _status(self) -> bytes:
-        values = {CONTACT_PREFIX + key: repr(value) for key, value in self._contact().items()}
+        values = {key: repr(value) for key, value in self._contact().items()}
         stamp_ns = max(self._stamp_ns, 0)
-        return encode_status(Status(stamp_ns, EMULATOR_STATUS, OK, "emulated controller", values))
+        return encode_status(Status(stamp_ns, NODE_NAME, OK, "emulated controller", values))
 
     def _answer_reset(self, request: Request) -> TriggerReply:
         try:

@@ -15,7 +15,7 @@ import numpy as np
 from skewmi.deploy.robot.backend import SceneState
 from skewmi.deploy.robot.backends.egm.options import TaskFacts
 from skewmi.deploy.wire.messages import decode_status
-from skewmi.deploy.wire.topics import TRIGGER, YUMI_STATUS
+from skewmi.deploy.wire.topics import DIAGNOSTIC_ARRAY, TRIGGER, Topic
 from skewmi.deploy.wire.topics import Service as ServiceName
 from skewmi.deploy.wire.transport import LatestReader, Link
 from skewmi.errors import CommandRefusedError, TransportError
@@ -24,11 +24,8 @@ from skewmi.trajectory import Array
 EMULATOR_RESET = ServiceName("/skewmi/emulator/reset", TRIGGER)
 """Of the emulator, for the robot server alone: put scene and arm back to an episode's start."""
 
-EMULATOR_STATUS = "skewmi_egm_emulator"
-"""Name of the emulator's entry in the status messages."""
-
-CONTACT_PREFIX = "contact."
-"""Of the keys in that entry that tell of the scene's contact."""
+EMULATOR_STATUS = Topic("/skewmi/emulator/status", DIAGNOSTIC_ARRAY)
+"""What the emulator tells the robot server of its scene: the contact since the last reset."""
 
 RESET_TIMEOUT_S = 1.0
 _HEARD_S = 1.5
@@ -63,7 +60,7 @@ class EgmScene:
     @staticmethod
     def open(facts: TaskFacts, link: Link | None) -> EgmScene:
         """Listen for an emulator on a link, if there is one."""
-        status = None if link is None else link.subscribe(YUMI_STATUS, depth=None)
+        status = None if link is None else link.subscribe(EMULATOR_STATUS)
         return EgmScene(facts, link, status)
 
     @property
@@ -108,19 +105,12 @@ class EgmScene:
         return q
 
     def _hear(self) -> None:
-        if self._status is None:
+        sample = None if self._status is None else self._status.take()
+        if sample is None:
             return
-        for sample in self._status.drain():
-            try:
-                status = decode_status(sample.payload)
-                if status.name != EMULATOR_STATUS:
-                    continue
-                contact = {
-                    key.removeprefix(CONTACT_PREFIX): float(value)
-                    for key, value in status.values.items()
-                    if key.startswith(CONTACT_PREFIX)
-                }
-            except (TransportError, ValueError):
-                continue
-            self._contact = contact
-            self._heard_s = time.monotonic()
+        try:
+            values = decode_status(sample.payload).values
+            self._contact = {key: float(value) for key, value in values.items()}
+        except (TransportError, ValueError):
+            return
+        self._heard_s = time.monotonic()
