@@ -33,7 +33,7 @@ class RobotState:
     Attributes:
         time_ns: Of the cycle, by the robot's own clock since `open`; never goes back. Cycles that
             were lost are left out: the plan goes on in the robot's time.
-        position: The arm's joints, then what else `state_names` names; rad, m for fingers.
+        position: The arm's joints, then what else `state_names` names now; rad, m for fingers.
             Shape (n,).
         velocity: rad/s and m/s. Shape (n,).
         effort: N m and N. Shape (n,).
@@ -106,7 +106,8 @@ class RobotBackend(Protocol):
     joint_names: tuple[str, ...]
     """The seven arm joints in chain order."""
     state_names: tuple[str, ...]
-    """Of the joints in a `RobotState`: the arm's, then the finger if there is one."""
+    """Of the joints in the newest `RobotState`: the arm's, then the finger if there is one, then
+    those of another arm that is seen."""
     period_ns: int
     """Nominal time between two cycles, ns."""
     lock_step: bool

@@ -9,6 +9,7 @@ from skewmi.deploy.robot.states import ACCEPTS_COMMANDS, ServerEvent, ServerStat
 from skewmi.deploy.safety.validation import check_fresh
 from skewmi.deploy.wire.messages import JointStates
 from skewmi.errors import CommandRefusedError
+from skewmi.robot_models import yumi
 
 
 class RobotRequests:
@@ -137,7 +138,8 @@ class RobotRequests:
         Raises:
             CommandRefusedError: Not this gripper's joint, or not made just now; or as there.
         """
-        fingers = self._backend.state_names[len(self._backend.joint_names) :]
+        finger = yumi.finger_names("right")[0]
+        fingers = (finger,) if finger in self._backend.state_names else ()
         if not fingers or command.names != fingers:
             got = ", ".join(command.names[:5]) or "none"
             raise CommandRefusedError(

@@ -32,6 +32,7 @@ WAIT_NS = 8_000_000
 """Longest wait for a packet before commands and services have their turn: two cycles."""
 
 _FOLLOWS = (EgmState.GUIDING, EgmState.OVERLOADED)
+_LEFT_NAMES = yumi.joint_names("left")
 
 
 class EgmBackend:
@@ -55,7 +56,7 @@ class EgmBackend:
         self.scene = scene
         self.joint_names = yumi.joint_names("right")
         fingers = () if gripper is None else yumi.finger_names("right")[:1]
-        self.state_names = (*self.joint_names, *fingers)
+        self.state_names: tuple[str, ...] = (*self.joint_names, *fingers)
         self.admitted_speed = options.admitted_speed
         self.slips = 0
         self.delay = DelayEstimate()
@@ -171,14 +172,18 @@ class EgmBackend:
         if taken.begins:
             self._speed.forget()
         velocity = self._speed.add(watch.clock.time_ns, q)
-        nothing = np.zeros(len(self.state_names))
         if self.gripper is not None:
             q, velocity = np.append(q, self.gripper.opening), np.append(velocity, 0.0)
+        left_q = None if self.left is None else self.left.position
+        if self.left is not None and left_q is not None:
+            if _LEFT_NAMES[0] not in self.state_names:
+                self.state_names = (*self.state_names, *_LEFT_NAMES)
+            q, velocity = np.append(q, left_q), np.append(velocity, self.left.velocity)
         return RobotState(
             time_ns=int(watch.clock.time_ns),
             position=q,
             velocity=velocity,
-            effort=nothing,
+            effort=np.zeros(len(q)),
             guided=watch.state in _FOLLOWS,
         )
 

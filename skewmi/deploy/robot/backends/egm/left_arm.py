@@ -7,6 +7,7 @@ from math import degrees
 import numpy as np
 
 from skewmi.deploy.robot.backends.egm.channel import ArmChannel
+from skewmi.deploy.robot.backends.egm.motion import SpeedEstimate
 from skewmi.deploy.robot.backends.egm.options import LEFT_ARM_TOLERANCE
 from skewmi.robot_models import yumi
 from skewmi.trajectory import Array
@@ -24,6 +25,9 @@ class LeftArm:
 
     def __init__(self, channel: ArmChannel) -> None:
         self.channel = channel
+        self.velocity: Array = np.zeros(7)
+        """How fast it moves, rad/s. Shape (7,)."""
+        self._speed = SpeedEstimate()
 
     @property
     def position(self) -> Array | None:
@@ -33,8 +37,13 @@ class LeftArm:
 
     def serve(self) -> None:
         """Answer what has come."""
-        if self.channel.take() is not None:
-            self.channel.hold()
+        taken = self.channel.take()
+        if taken is None:
+            return
+        self.channel.hold()
+        if taken.begins:
+            self._speed.forget()
+        self.velocity = self._speed.add(self.channel.watch.clock.time_ns, taken.packet.q)
 
     def misplaced(self) -> str | None:
         """Why the collision check cannot be trusted; None if it can, or nothing is known."""

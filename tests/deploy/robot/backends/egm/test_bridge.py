@@ -413,6 +413,22 @@ class TestLeftArm:
         assert bench.backend.readiness() is None
         assert "at home" in bench.backend.told()["left_arm"]
 
+    def test_its_joints_are_told_behind_the_right_arms(
+        self, both: tuple[Bench, HandController]
+    ) -> None:
+        bench, left = both
+        bench.run(3)
+        assert len(bench.backend.state_names) == 8
+        for step in range(20):
+            left.packet.axes = (0.1 * step, *self.HOME[1:])
+            self.run(both, 1)
+        state = bench.robot.arm_motion.state
+        assert state is not None
+        assert bench.backend.state_names[8:] == yumi.joint_names("left")
+        assert len(state.position) == len(state.velocity) == len(state.effort) == 15
+        assert np.degrees(state.position[8]) == pytest.approx(1.8, abs=0.11)
+        assert np.degrees(state.velocity[8]) == pytest.approx(0.1 / 0.004032, rel=0.1)
+
     def test_one_that_is_not_parked_refuses_to_arm(
         self, both: tuple[Bench, HandController]
     ) -> None:
