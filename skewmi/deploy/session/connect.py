@@ -87,7 +87,9 @@ def connect(
     episodes = EpisodeRunner(
         layout, options, preflight, approach, motion, loop, checks, robot, status
     )
-    warm_up(policy, workspace, Planner(workspace, limits, flange_speed=flange_speed), checks, stream)
+    warm_up(
+        policy, workspace, Planner(workspace, limits, flange_speed=flange_speed), checks, stream
+    )
     status.fire(SessionEvent.CONNECTED, f"{described.backend} robot, {described.task}")
     return Session(options, episodes, status, stream, times, report, stop, tell)
 
