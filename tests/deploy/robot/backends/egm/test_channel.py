@@ -3,77 +3,19 @@
 from __future__ import annotations
 
 import math
-import socket
 import time
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from egm_channel import RAMP_NS, Controller, guided, take
 from egm_controller import HandController
 from egm_wire import MCI_STOPPED, MOTORS_OFF, RAPID_STOPPED
 
-from skewmi.deploy.robot.backends.egm.channel import ArmChannel, Taken
+from skewmi.deploy.robot.backends.egm.channel import ArmChannel
 from skewmi.deploy.robot.backends.egm.link import UdpLink
-from skewmi.deploy.robot.backends.egm.motion import DelayEstimate, SpeedEstimate
 from skewmi.deploy.robot.backends.egm.states import EgmState
 
-RAMP_NS = 20_000_000
 HOME_CHAIN = [0.0, -130.0, -135.0, 30.0, 0.0, 40.0, 0.0]
-
-
-class Clock:
-    """The bridge's clock: it goes on with the controller's packets, however slow this machine."""
-
-    def __init__(self) -> None:
-        self.time_ns = 1_000_000_000
-
-    def __call__(self) -> int:
-        return self.time_ns
-
-    def wait(self, seconds: float) -> None:
-        self.time_ns += int(1e9 * seconds)
-
-
-class Controller(HandController):
-    """Each of its packets comes a cycle after the one before it."""
-
-    def __init__(self, bridge: tuple[str, int], clock: Clock) -> None:
-        super().__init__(bridge)
-        self.clock = clock
-
-    def bytes_of(self, **changes: object) -> bytes:
-        self.clock.wait(0.004032)
-        return super().bytes_of(**changes)
-
-
-@pytest.fixture
-def channel() -> Iterator[ArmChannel]:
-    with UdpLink.open(("127.0.0.1", 0), Clock()) as link:
-        yield ArmChannel(link, RAMP_NS)
-
-
-@pytest.fixture
-def controller(channel: ArmChannel) -> Iterator[Controller]:
-    clock = channel.link.now_ns
-    assert isinstance(clock, Clock)
-    with Controller(channel.link.address, clock) as opened:
-        yield opened
-
-
-def take(channel: ArmChannel) -> Taken | None:
-    """What comes within a second."""
-    channel.link.wait(1_000_000_000)
-    return channel.take()
-
-
-def guided(channel: ArmChannel, controller: Controller) -> None:
-    """Run a session until the ramp is over."""
-    for _ in range(8):
-        controller.send()
-        assert take(channel) is not None
-        channel.hold()
-        controller.collect(1.0)
-    assert channel.readiness() is None
 
 
 def test_the_first_packet_is_answered_with_its_own_feedback(
@@ -291,82 +233,3 @@ def test_silence_is_told(channel: ArmChannel, controller: Controller) -> None:
     controller.clock.wait(0.11)
     assert channel.take() is None
     assert "no packet" in str(channel.readiness())
-
-
-def flood(channel: ArmChannel, controller: Controller, count: int) -> None:
-    """Malformed datagrams of every kind, from the controller's own address and from others."""
-    rng = np.random.default_rng(11)
-    good = controller.bytes_of()
-    controller.sequence -= 1
-    controller.cycles -= 1
-    stranger = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    sent = 0
-    while sent < count:
-        for _ in range(32):
-            kind = rng.integers(6)
-            data = bytearray(good)
-            if kind == 0:
-                data = bytearray(rng.bytes(int(rng.integers(0, 64))))
-            elif kind == 1:
-                data = data[: int(rng.integers(len(data)))]
-            elif kind == 2:
-                data[8 + int(rng.integers(len(data) - 8))] ^= int(rng.integers(1, 256))
-            elif kind == 3:
-                data = bytearray(rng.bytes(2000))
-            elif kind == 4:
-                data = bytearray()
-            else:
-                data += rng.bytes(int(rng.integers(1, 40)))
-            target = controller.socket if rng.random() < 0.5 else stranger
-            target.sendto(bytes(data), channel.link.address)
-            sent += 1
-        taken = channel.take()
-        controller.clock.wait(0.004)
-        if taken is not None:
-            assert np.isfinite(taken.packet.q).all()
-            channel.hold()
-    stranger.close()
-
-
-@pytest.mark.parametrize("count", [5_000, pytest.param(1_000_000, marks=pytest.mark.slow)])
-def test_malformed_datagrams_do_nothing_but_be_told(
-    channel: ArmChannel, controller: Controller, count: int
-) -> None:
-    flood(channel, controller, count)
-    while channel.take() is not None or channel.link.wait(1_000_000):
-        pass
-    assert channel.watch.unusable > 0.5 * count / 3
-    # What did not look malformed was a packet with another value in it; none left the range.
-    for answer in controller.collect():
-        assert all(math.isfinite(value) for value in answer.chain())
-        assert all(abs(value) <= 290.0 for value in answer.chain())
-    controller.clock.wait(0.11)
-    channel.take()
-    assert channel.readiness() is not None
-    controller.sequence, controller.cycles = 0, controller.cycles + 1000
-    guided(channel, controller)
-
-
-def test_speed_is_taken_from_positions() -> None:
-    estimate = SpeedEstimate()
-    rng = np.random.default_rng(2)
-    v = rng.uniform(-1, 1, 7)
-    for number in range(20):
-        speed = estimate.add(number * 4.032e6, v * number * 0.004032)
-    np.testing.assert_allclose(speed, v, atol=1e-9)
-    estimate.forget()
-    np.testing.assert_array_equal(estimate.add(0.0, v), np.zeros(7))
-
-
-@pytest.mark.parametrize("delay_s", [0.0, 0.010, 0.035])
-def test_delay_is_found_from_a_motion(delay_s: float) -> None:
-    estimate, dt = DelayEstimate(), 0.004032
-    assert estimate.delay_s is None
-    amplitude = np.linspace(0.05, 0.2, 7)
-    for number in range(1000):
-        t = number * dt
-        commanded = amplitude * math.sin(2.0 * t)
-        v = 2.0 * amplitude * math.cos(2.0 * t)
-        measured = amplitude * math.sin(2.0 * (t - delay_s))
-        estimate.add(commanded, v, measured, dt)
-    assert estimate.delay_s == pytest.approx(delay_s, abs=5e-4)
