@@ -6,8 +6,6 @@ from math import degrees, exp, radians
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from skewmi.deploy.robot.backends.egm.packets import ReferencePacket
 from skewmi.deploy.robot.backends.egm.program import ProgramSettings
@@ -61,51 +59,6 @@ def test_with_feed_forward_nothing_is_left() -> None:
     one = law(gain=5.0)
     last = drive(one, 0.3, 3.0, feed_forward=True)
     assert last - one.desired[0] == pytest.approx(-0.3 * PERIOD_S, rel=1e-3)
-
-
-@pytest.mark.parametrize(("speed_deg", "beyond_deg"), [(10, 1.99), (28, 5.57), (60, 11.94)])
-def test_a_silent_partner_lets_it_run_on(speed_deg: float, beyond_deg: float) -> None:
-    # Figures of an independent model of the same law: k = 5, lag 20 ms, CommTimeout 1 s.
-    program = ProgramSettings(gain=5.0, comm_timeout_s=1.0)
-    one = law(0.02, gain=5.0, comm_timeout_s=1.0)
-    last = drive(one, radians(speed_deg), 2.0, feed_forward=True)
-    for _ in range(round(program.comm_timeout_s / PERIOD_S)):
-        one.step(None)
-    while not one.resting:
-        one.brake()
-    assert degrees(one.desired[0] - last) == pytest.approx(beyond_deg, abs=0.03)
-    assert degrees(radians(speed_deg) * program.runs_on_s(1.0)) == pytest.approx(
-        beyond_deg, rel=0.01
-    )
-
-
-@settings(deadline=None, max_examples=30)
-@given(
-    st.floats(1.0, 20.0),
-    st.floats(0.05, 1.0),
-    st.just(1.0) | st.floats(0.0, 1.0),
-    st.floats(-0.5, 0.5),
-)
-def test_the_bound_on_running_on_holds(
-    gain: float, comm_timeout_s: float, feed_forward: float, speed: float
-) -> None:
-    program = ProgramSettings(gain=gain, comm_timeout_s=comm_timeout_s)
-    one = law(0.01, gain=gain, comm_timeout_s=comm_timeout_s)
-    q = 0.0
-    for _ in range(400):
-        q += speed * PERIOD_S
-        one.step(reference(q, feed_forward * speed))
-    for _ in range(int(comm_timeout_s / PERIOD_S) + 1):
-        one.step(None)
-    while not one.resting:
-        one.brake()
-    beyond = (float(one.desired[0]) - q) * np.sign(speed)
-    bound = abs(speed) * program.runs_on_s(feed_forward)
-    # Both count cycles, and neither begins within one.
-    cycle = PERIOD_S * abs(speed)
-    assert beyond <= bound + 0.1 * cycle + 1e-7
-    # With less than all of it the bound is that of a motion that has just begun.
-    assert feed_forward < 1.0 or beyond >= bound - 3.0 * cycle - 1e-7
 
 
 def test_without_feed_forward_it_does_not_run_on() -> None:
@@ -184,8 +137,3 @@ def test_converged_only_where_it_stands() -> None:
 def test_what_abb_does_not_allow_is_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ConfigurationError, match=next(iter(wrong))):
         ProgramSettings(**wrong)  # type: ignore[arg-type]
-
-
-def test_no_gain_runs_on_at_full_speed() -> None:
-    settings = ProgramSettings(gain=0.0, comm_timeout_s=0.5, ramp_out_s=0.1)
-    assert settings.runs_on_s(1.0) == pytest.approx(0.55 + PERIOD_S, abs=1e-4)

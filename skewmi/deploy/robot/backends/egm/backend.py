@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import select
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
 
 import numpy as np
@@ -62,6 +63,8 @@ class EgmBackend:
         self.delay = DelayEstimate()
         self.command: JointPoint | None = None
         """What was answered last while the arm followed; None while it does not."""
+        self.recent: deque[JointPoint] = deque(maxlen=options.program.remembered_cycles)
+        """What was answered before it, as far back as the controller's speed depends on it."""
         self.right: ArmChannel | None = None
         self.left: LeftArm | None = None
         if scene is not None:
@@ -126,9 +129,11 @@ class EgmBackend:
             self.right.answer(command.q, feed_forward * command.v if feed_forward else None)
             self._note_delay(command)
             self.command = command
+            self.recent.append(command)
         else:
             self.right.hold()
             self.command = None
+            self.recent.clear()
         if self.left is not None:
             self.left.serve()
 

@@ -7,15 +7,10 @@ texts there and the defaults here equal. "Manual" is ABB's 3HAC073318 of RobotWa
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import isfinite, pi
+from math import isfinite
 
+from skewmi.deploy.robot.backends.egm.run_on import bound, remembered_cycles
 from skewmi.errors import ConfigurationError
-
-CYCLE_S = 0.004032
-"""Of a real controller."""
-
-_STEP_S = 1e-4
-"""Of the integration."""
 
 _RANGES = {
     "gain": (0.0, 20.0),
@@ -72,38 +67,10 @@ class ProgramSettings:
                 )
 
     def runs_on_s(self, feed_forward: float) -> float:
-        """How far the arm runs on if no reference comes any more, as time at its present speed.
+        """Bound on how far the arm runs on if no reference comes any more: s, see `run_on`."""
+        return bound(self, feed_forward)
 
-        The controller keeps both parts of the last reference. With e the desired position less
-        that reference, s the speed, tau the low-pass' time constant and f the fraction of the
-        speed v that was sent as speed reference,
-
-            e' = s,   tau s' = f v - k e - s
-
-        until `\\CommTimeout` T (and a cycle: it is counted in those) ends the session; then what
-        is left of s goes to zero in the ramp-out time R. It begins between a motion's first
-        moments (e = 0, s = f v) and a steady one (e = -(1 - f) v / k, s = v); the worse counts.
-        With f = 1, and but for the low-pass, this is v ((1 - exp(-k T)) / k + exp(-k T) R / 2).
-
-        Args:
-            feed_forward: f, 0..1.
-
-        Returns:
-            s, not negative; times the speed of a joint or of the flange it is the distance.
-        """
-        steady = -(1.0 - feed_forward) / self.gain if self.gain > 0.0 else 0.0
-        return max(
-            self._runs_on_from(0.0, feed_forward, feed_forward),
-            self._runs_on_from(steady, 1.0, feed_forward),
-        )
-
-    def _runs_on_from(self, error: float, speed: float, feed_forward: float) -> float:
-        """The farthest that e becomes from where it is now, at v = 1."""
-        tau = 1.0 / (2.0 * pi * self.low_pass_hz)
-        farthest = 0.0
-        for _ in range(round((self.comm_timeout_s + CYCLE_S) / _STEP_S)):
-            # Semi-implicit Euler: stable at these steps for all that ABB allows.
-            speed += _STEP_S / tau * (feed_forward - self.gain * error - speed)
-            error += _STEP_S * speed
-            farthest = max(farthest, error)
-        return max(farthest, error + speed * self.ramp_out_s / 2.0)
+    @property
+    def remembered_cycles(self) -> int:
+        """How far back references have a say in the controller's speed: five time constants."""
+        return remembered_cycles(self)

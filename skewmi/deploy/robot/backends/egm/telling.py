@@ -13,6 +13,9 @@ if TYPE_CHECKING:
 
 _KINEMATICS = ArmKinematics("right")
 
+_LOOKED_AT = 16
+"""References whose speed is worked out for the status."""
+
 
 def told(bridge: EgmBackend) -> dict[str, str]:
     """Keys and values for the status."""
@@ -53,10 +56,14 @@ def told(bridge: EgmBackend) -> dict[str, str]:
 
 
 def runs_on(bridge: EgmBackend) -> float:
-    """How far the flange would run on if this process died now, m."""
-    command = bridge.command
-    if command is None or not command.v.any():
+    """How far the flange would run on if this process died now, m: a bound, see `run_on`."""
+    recent = list(bridge.recent)
+    # No motion changes its speed much within so few cycles.
+    shown = recent[:: -max(1, len(recent) // _LOOKED_AT)]
+    if not any(point.v.any() for point in shown):
         return 0.0
-    speed = float(np.linalg.norm(_KINEMATICS.jacobian(command.q)[:3] @ command.v))
+    q, v = (np.array(values) for values in zip(*((p.q, p.v) for p in shown), strict=True))
+    flange_v = (_KINEMATICS.jacobian(q)[:, :3] @ v[:, :, None])[:, :, 0]
+    fastest = float(np.linalg.norm(flange_v, axis=1).max())
     options = bridge.options
-    return speed * options.program.runs_on_s(options.feed_forward)
+    return fastest * options.program.runs_on_s(options.feed_forward)
