@@ -15,7 +15,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from skewmi.deploy.robot.backend import SceneState
-from skewmi.deploy.robot.backends.egm.scene import EMULATOR_RESET, EMULATOR_STATUS
+from skewmi.deploy.robot.backends.egm.scene import (
+    EMULATOR_RESET,
+    EMULATOR_STATUS,
+    SCENE_PUBLISHER,
+)
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.channels import LatestReader, Publisher, Request, Service
 from skewmi.deploy.wire.messages import (
@@ -119,7 +123,7 @@ class SceneLink:
             self._publish_states(opened, now_s)
             if now_s >= self._next_status_s:
                 self._next_status_s = now_s + STATUS_PERIOD_S
-                opened.status.put(self._status())
+                opened.status.put(self._status(opened.scene.gid))
         except TransportError as error:
             self._give_up(f"the link broke: {error}")
             return
@@ -150,8 +154,9 @@ class SceneLink:
         )
         opened.scene.put(encode_joint_states(told))
 
-    def _status(self) -> bytes:
+    def _status(self, publisher: bytes) -> bytes:
         values = {key: repr(value) for key, value in self._contact().items()}
+        values[SCENE_PUBLISHER] = publisher.hex()
         stamp_ns = max(self._stamp_ns, 0)
         return encode_status(Status(stamp_ns, NODE_NAME, OK, "emulated controller", values))
 

@@ -25,7 +25,11 @@ EMULATOR_RESET = ServiceName("/skewmi/emulator/reset", TRIGGER)
 """Of the emulator, for the robot server alone: put scene and arm back to an episode's start."""
 
 EMULATOR_STATUS = Topic("/skewmi/emulator/status", DIAGNOSTIC_ARRAY)
-"""What the emulator tells the robot server of its scene: the contact since the last reset."""
+"""What the emulator tells the robot server of its scene: the contact since the last reset, and who
+publishes its states."""
+
+SCENE_PUBLISHER = "scene_publisher"
+"""Key in that status: global id of the emulator's publisher of scene states, hexadecimal."""
 
 RESET_TIMEOUT_S = 1.0
 _HEARD_S = 1.5
@@ -54,6 +58,9 @@ class EgmScene:
         self._status = status
         self.on_reset: Callable[[], None] = lambda: None
         """Called once the emulator has ended the arm's session for a reset."""
+        self._emulator = b""
+        """Global id of the one that is listened to."""
+        self._publisher: bytes | None = None
         self._heard_s = -_HEARD_S
         self._contact: dict[str, float] = {}
 
@@ -68,6 +75,12 @@ class EgmScene:
         """Whether an emulator is there."""
         self._hear()
         return time.monotonic() - self._heard_s < _HEARD_S
+
+    @property
+    def publisher(self) -> bytes | None:
+        """Global id of whoever publishes this scene's states: the emulator's publisher, as it says
+        itself; None without an emulator, when anybody with a camera may."""
+        return self._publisher if self.resettable else None
 
     def state(self) -> SceneState | None:
         """Somebody else publishes them."""
@@ -105,12 +118,16 @@ class EgmScene:
         return q
 
     def _hear(self) -> None:
-        sample = None if self._status is None else self._status.take()
-        if sample is None:
-            return
-        try:
-            values = decode_status(sample.payload).values
-            self._contact = {key: float(value) for key, value in values.items()}
-        except (TransportError, ValueError):
-            return
-        self._heard_s = time.monotonic()
+        """Take in what an emulator says; no second one while the first is there."""
+        for sample in [] if self._status is None else self._status.drain():
+            now_s = time.monotonic()
+            if sample.gid != self._emulator and now_s - self._heard_s < _HEARD_S:
+                continue
+            try:
+                values = dict(decode_status(sample.payload).values)
+                publisher = bytes.fromhex(values.pop(SCENE_PUBLISHER))
+                contact = {key: float(value) for key, value in values.items()}
+            except (TransportError, ValueError, KeyError):
+                continue
+            self._emulator, self._publisher, self._heard_s = sample.gid, publisher, now_s
+            self._contact = contact
