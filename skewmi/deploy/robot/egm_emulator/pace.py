@@ -6,9 +6,10 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-MAX_BACKLOG_NS = 20_000_000
+MAX_BACKLOG_NS = 4_000_000
 """A controller that is kept from its work for longer than this lets the cycles be, instead of
-rushing after them: a real one is never late."""
+rushing after them: a real one is never late. A rush would make chunks late that were planned in the
+meantime; time that stands still for a moment does no harm."""
 
 
 class Cycled(Protocol):
