@@ -31,7 +31,7 @@ class HandController:
         axes: tuple[float, ...] = (0.0, -130.0, 30.0, 0.0, 40.0, 0.0),
         axis_7: float = -135.0,
     ) -> None:
-        self._bridge = bridge
+        self.bridge = bridge
         self.socket = self._open()
         self.packet = Feedback(axes=axes, axis_7=(axis_7,))
         """What is sent next, but for its sequence and time."""
@@ -74,11 +74,11 @@ class HandController:
     def send(self, **changes: object) -> bytes:
         """Send the next packet, with some fields changed; returns its bytes."""
         data = self.bytes_of(**changes)
-        self.socket.sendto(data, self._bridge)
+        self.socket.sendto(data, self.bridge)
         return data
 
     def send_bytes(self, data: bytes) -> None:
-        self.socket.sendto(data, self._bridge)
+        self.socket.sendto(data, self.bridge)
 
     def lose(self, count: int = 1) -> None:
         """Packets that never arrive."""
