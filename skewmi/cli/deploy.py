@@ -79,6 +79,9 @@ class DeployCommand:
     """Replace existing files of --record and --live-out."""
     dry_run: bool = False
     """Do everything but send: the arm does not move."""
+    scene_from: str | None = None
+    """Who publishes the scene's states, if not the robot server or whom it names: the name of a
+    ROS 2 node, such as that of a camera, or a publisher's id."""
     zenoh_config: Path | None = None
     """Zenoh configuration file (JSON5 or YAML) that tells how and where to reach a running
     `skewmi robot`, such as `skewmi certificates` makes; --connect overrides where."""
@@ -121,6 +124,7 @@ def deploy_policy(options: DeployCommand) -> DeployReport:
                 policy_name=str(options.policy),
                 robot_model_hash=policy.metadata["robot_model_hash"],
                 zenoh_config=options.zenoh_config,
+                scene_from=options.scene_from,
             ),
             stop=stop,
             on_event=tell,
@@ -185,6 +189,8 @@ def print_report(report: DeployReport, console: Console) -> None:
     console.print(f"cycle, ms: {cycle}; missed {report.missed_cycles} of {report.cycles}; {pace}")
     for stop in report.stops:
         console.print(f"stopped: {stop}", markup=False)
+    for stranger in report.strangers:
+        console.print(f"not believed: {stranger}, {stranger.messages} messages", markup=False)
     for note in report.notes:
         console.print(note, markup=False)
     for file in report.broken_files:

@@ -6,6 +6,7 @@ Draws what the robot reported (measured joints and scene), not what was commande
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -14,6 +15,7 @@ import numpy as np
 import tyro
 
 from skewmi.cli import numbers
+from skewmi.deploy.recording.believed import believed_part
 from skewmi.deploy.recording.reader import read_recording
 from skewmi.deploy.wire import topics
 from skewmi.errors import ConfigurationError, NotFoundError
@@ -73,7 +75,10 @@ def run_film(options: FilmCommand) -> int:
     check_output(out, overwrite=options.overwrite, inputs=[options.recording, options.strip])
     if options.strip is not None:
         check_output(options.strip, overwrite=options.overwrite, inputs=[options.recording, out])
-    recording = read_recording(options.recording)
+    believed = believed_part(read_recording(options.recording))
+    recording = believed.recording
+    for note in believed.notes:
+        sys.stderr.write(f"{note}\n")
     spec = tasks.find(recorded_layout(recording).task)
     if spec.arm is None:
         raise ConfigurationError(f"task {spec.name!r} has no robot scene to draw")

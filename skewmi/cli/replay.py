@@ -64,6 +64,8 @@ def run_replay(options: ReplayCommand) -> int:
         )
     if report.malformed:
         print(f"{report.malformed} messages could not be decoded and are left out")
+    for words in report.notes:
+        print(words)
     if not options.live:
         print(f"wrote {out}; open it with: rerun {out}")
     return 0

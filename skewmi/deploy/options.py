@@ -51,6 +51,9 @@ class DeployOptions:
     """What to call the policy in the recording, such as its file."""
     robot_model_hash: str | None = None
     """Robot model that the policy was trained with, if its file tells."""
+    scene_from: str | None = None
+    """Who publishes the scene's states, if not the robot server or whom it names: a ROS 2 node's
+    name or a publisher's global id."""
     zenoh_config: Path | None = None
     """Zenoh configuration file; says where a running robot server is unless `connect` does."""
 

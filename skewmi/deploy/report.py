@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from skewmi.contact import QUANTITIES
 from skewmi.deploy.safety.limits import LimitUsage
+from skewmi.deploy.wire.senders import Stranger
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,18 @@ class DeployReport:
     files: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     interrupted: bool = False
+    strangers: list[Stranger] = field(default_factory=list)
+    """Who else published on the run's topics, and was not believed."""
+
+    def add_strangers(self, heard: Iterable[Stranger]) -> None:
+        """Take in whom session, recorder or live view have heard; each once, with most messages."""
+        known = {(s.topic, s.gid, s.copied): s for s in self.strangers}
+        for stranger in heard:
+            key = stranger.topic, stranger.gid, stranger.copied
+            before = known.get(key)
+            if before is None or stranger.messages > before.messages:
+                known[key] = stranger
+        self.strangers = list(known.values())
 
     @property
     def successes(self) -> int:

@@ -18,6 +18,7 @@ from skewmi.deploy.robot.process import spawn_robot
 from skewmi.deploy.session.connect import connect
 from skewmi.deploy.session.pace import planning_limits
 from skewmi.deploy.session.preflight import require_workspace
+from skewmi.deploy.session.trust import Trust
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.transport import Link, TransportConfig
 from skewmi.errors import TransportError
@@ -76,7 +77,7 @@ def run_deploy(
         with Link.open(config, NODE_NAME) as link:
             link.wait_for_robot(5.0)
             session = connect(policy, options, link, report, stop, tell)
-            with _beside(options, policy, link, config, report):
+            with _beside(options, policy, link, session.trust, config, report):
                 session.run()
     return report
 
@@ -103,6 +104,7 @@ def _beside(
     options: DeployOptions,
     policy: Policy,
     link: Link,
+    trust: Trust,
     config: TransportConfig,
     report: DeployReport,
 ) -> Iterator[None]:
@@ -110,22 +112,22 @@ def _beside(
     if options.record is None and options.live is None:
         yield
         return
-    metadata = _metadata(options, policy, link)
+    metadata = _metadata(options, policy, link, trust)
     client = replace(config, lock_step=False)
     with (
-        _live_view(options, metadata, client, report),
-        _recording(options, metadata, client, report),
+        _live_view(options, metadata, client, trust, report),
+        _recording(options, metadata, client, trust, report),
     ):
         # They have subscribed at the robot server. Once it answers, our publishers know, too, and
         # the first messages are not lost.
-        link.call(topics.YUMI_DESCRIBE, 5.0)
+        link.call(topics.YUMI_DESCRIBE, 5.0, only=trust.server)
         yield
 
 
-def _metadata(options: DeployOptions, policy: Policy, link: Link) -> dict[str, str]:
+def _metadata(options: DeployOptions, policy: Policy, link: Link, trust: Trust) -> dict[str, str]:
     """What the run is about."""
     limits = planning_limits(options.limits, options.speed)
-    reply = link.call(topics.YUMI_DESCRIBE, 5.0, SCENE_REQUEST)
+    reply = link.call(topics.YUMI_DESCRIBE, 5.0, SCENE_REQUEST, only=trust.server)
     description = RobotDescription.from_json(reply.message)
     return run_metadata(
         layout_json=policy.layout.to_json(),
@@ -142,13 +144,24 @@ def _metadata(options: DeployOptions, policy: Policy, link: Link) -> dict[str, s
 
 @contextmanager
 def _recording(
-    options: DeployOptions, metadata: dict[str, str], client: TransportConfig, report: DeployReport
+    options: DeployOptions,
+    metadata: dict[str, str],
+    client: TransportConfig,
+    trust: Trust,
+    report: DeployReport,
 ) -> Iterator[None]:
     """What the run is about first, how it went at the end."""
     if options.record is None:
         yield
         return
-    recorder = Recorder.start(options.record, client, metadata, overwrite=options.overwrite)
+    recorder = Recorder.start(
+        options.record,
+        client,
+        metadata,
+        believed=trust.believed,
+        overwrite=options.overwrite,
+    )
+    trust.on_believed.append(recorder.believe)
     try:
         yield
     except BaseException:
@@ -165,20 +178,27 @@ def _recording(
         report.notes.append(str(error))
         return
     report.files.append(str(summary.path))
+    report.add_strangers(summary.strangers)
     if summary.missed:
         report.notes.append(f"the recording lacks {summary.missed} messages")
 
 
 @contextmanager
 def _live_view(
-    options: DeployOptions, metadata: dict[str, str], client: TransportConfig, report: DeployReport
+    options: DeployOptions,
+    metadata: dict[str, str],
+    client: TransportConfig,
+    trust: Trust,
+    report: DeployReport,
 ) -> Iterator[None]:
     if options.live is None:
         yield
         return
     title = options.policy_name or report.task
-    with LiveView.start(options.live, client, metadata, title) as view:
+    with LiveView.start(options.live, client, metadata, title, trust.believed) as view:
+        trust.on_believed.append(view.believe)
         yield
         report.notes += view.close()
+        report.add_strangers(view.strangers)
     if options.live.out is not None:
         report.files.append(str(options.live.out))

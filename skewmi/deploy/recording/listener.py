@@ -13,13 +13,15 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
 
 from skewmi.child import tell_parent
 from skewmi.deploy.wire.channels import Sample
+from skewmi.deploy.wire.senders import Senders, Stranger, gids_of
 from skewmi.deploy.wire.topics import TOPICS, YUMI_DESCRIBE, Topic
 from skewmi.deploy.wire.transport import Link, TransportConfig
 from skewmi.errors import TransportError
@@ -31,12 +33,22 @@ _LINGER_S = 0.1
 
 
 class Counts:
-    """Messages received, and gaps in the publishers' sequences."""
+    """Messages received, gaps in the publishers' sequences, and who was not believed.
 
-    def __init__(self) -> None:
+    Args:
+        senders: Who is believed.
+    """
+
+    def __init__(self, senders: Senders) -> None:
+        self.senders = senders
         self.messages = 0
         self.missed = 0
         self._last: dict[bytes, int] = {}
+
+    def as_dict(self) -> dict[str, Any]:
+        """Last words for the owner, see `strangers_told`."""
+        strangers = [asdict(stranger) for stranger in self.senders.strangers()]
+        return {"messages": self.messages, "missed": self.missed, "strangers": strangers}
 
     def add(self, gid: bytes, sequence: int) -> None:
         """A message came from a publisher."""
@@ -94,9 +106,14 @@ def listen(
     *,
     on_sample: Callable[[Topic, Sample], None],
     on_round: Callable[[], None],
-    on_line: Callable[[str], None],
+    on_line: Callable[[dict[str, Any]], None],
+    on_believed: Callable[[dict[str, list[str]]], None] = lambda believed: None,
 ) -> Counts:
-    """Subscribe to everything, and hand it over until the owner ends the run.
+    """Subscribe to everything, and hand over what believed senders say until the owner ends it.
+
+    Who is believed stands in the task, and in later lines, under "believed": lists of hexadecimal
+    global ids by topic, which replace those before. Without it everybody is, the first sixteen on
+    each topic.
 
     Args:
         link: An open one.
@@ -104,11 +121,21 @@ def listen(
         period_s: How often to look, s.
         on_sample: Given each message, in the order of its topic.
         on_round: Called after each look.
-        on_line: Given each line of the owner.
+        on_line: Given each other line of the owner.
+        on_believed: Given each such list, before any message of its senders.
     """
-    counts = Counts()
+    believed = source.task.get("believed")
+    senders = Senders(link.graph.node_of, everybody=believed is None)
+    counts = Counts(senders)
+
+    def believe(publishers: dict[str, list[str]]) -> None:
+        senders.believe(gids_of(publishers))
+        on_believed(publishers)
+
+    if believed is not None:
+        believe(believed)
     # Unread samples pile up here in memory, never in Zenoh, where they would slow others.
-    readers = [(topic, link.subscribe(topic, depth=None)) for topic in TOPICS]
+    readers = [(topic, link.subscribe(topic, None, senders)) for topic in TOPICS]
     # What travels on a link keeps its order: once the robot server has answered, it knows what we
     # subscribe to. Not everything that publishes serves descriptions.
     with contextlib.suppress(TransportError):
@@ -131,5 +158,21 @@ def listen(
             continue
         if line is None:
             end_s = time.monotonic() + _LINGER_S
+            continue
+        content = json.loads(line)
+        if "believed" in content:
+            believe(content["believed"])
         else:
-            on_line(line)
+            on_line(content)
+
+
+def strangers_told(words: Mapping[str, Any]) -> tuple[Stranger, ...]:
+    """Strangers of a listener's last words.
+
+    Raises:
+        ValueError: They are not such words.
+    """
+    try:
+        return tuple(Stranger(**stranger) for stranger in words["strangers"])
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"the process's last words are not understood ({error})") from error

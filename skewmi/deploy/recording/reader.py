@@ -17,6 +17,7 @@ from mcap.exceptions import McapError
 from mcap.records import Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
+from skewmi.deploy.recording.writer import SENDER
 from skewmi.errors import ConfigurationError
 
 METADATA_NAME = "skewmi"
@@ -27,6 +28,10 @@ LIMITS = "limits"
 """Key: JSON object of limit name (position_lower, velocity, ...) to seven numbers."""
 SCENE = "scene"
 """Key: JSON list of scene parts as `wire.scene_geometry.SceneGeometry`."""
+BELIEVED = "believed"
+"""Key: JSON object of topic to the hexadecimal global ids of the senders that were recorded."""
+STRANGERS = "strangers"
+"""Key: JSON list of `wire.senders.Stranger`, whose messages were not recorded."""
 
 _TORN = (
     McapError,
@@ -53,6 +58,8 @@ class RecordedMessage:
     """Wall clock of the recorder, ns since 1970."""
     publish_time_ns: int
     """Wall clock of the publisher, ns since 1970."""
+    sender: str = ""
+    """Hexadecimal global id of the publisher; empty if the file does not tell."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +127,7 @@ def read_recording(path: Path) -> Recording:
 
 def _read(path: Path, file: Any) -> Recording:
     schemas: dict[int, str] = {}
-    channels: dict[int, str] = {}
+    channels: dict[int, tuple[str, str]] = {}
     messages: dict[str, list[RecordedMessage]] = {}
     types: dict[str, str] = {}
     metadata: dict[str, str] = {}
@@ -132,13 +139,14 @@ def _read(path: Path, file: Any) -> Recording:
             if isinstance(record, Schema):
                 schemas[record.id] = record.name
             elif isinstance(record, Channel):
-                channels[record.id] = record.topic
+                channels[record.id] = record.topic, record.metadata.get(SENDER, "")
                 types[record.topic] = schemas.get(record.schema_id, "")
                 messages.setdefault(record.topic, [])
             elif isinstance(record, Message) and record.channel_id in channels:
-                messages[channels[record.channel_id]].append(
+                topic, sender = channels[record.channel_id]
+                messages[topic].append(
                     RecordedMessage(
-                        record.data, record.sequence, record.log_time, record.publish_time
+                        record.data, record.sequence, record.log_time, record.publish_time, sender
                     )
                 )
             elif isinstance(record, Metadata) and record.name == METADATA_NAME:

@@ -11,14 +11,16 @@ Foxglove and Rerun read it; and metadata under the name "skewmi" (`reader`).
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from skewmi.deploy.recording.listener import strangers_told
 from skewmi.deploy.recording.listener_process import ListenerProcess, ListenerStartError
 from skewmi.deploy.recording.reader import METADATA_NAME
+from skewmi.deploy.wire.senders import Stranger
 from skewmi.deploy.wire.transport import TransportConfig
 from skewmi.errors import TransportError
 from skewmi.outputs import check_output, writing
@@ -36,6 +38,8 @@ class RecordingSummary:
     missed: int
     """Messages that were published and did not arrive, by the gaps in their sequences."""
     size_bytes: int
+    strangers: tuple[Stranger, ...] = ()
+    """Whose messages were left out."""
 
 
 class Recorder:
@@ -58,6 +62,7 @@ class Recorder:
         config: TransportConfig,
         metadata: Mapping[str, str] | None = None,
         *,
+        believed: Mapping[str, Sequence[str]] | None = None,
         overwrite: bool = False,
     ) -> Self:
         """Start recording; returns once everything is subscribed to.
@@ -66,6 +71,9 @@ class Recorder:
             path: File to write, usually ending in .mcap.
             config: How to reach the robot server; only its locators, file and domain matter.
             metadata: What the run is about; see `recording.run_metadata`.
+            believed: Whose messages to record: hexadecimal global ids by topic, see
+                `session.trust`. None records everybody, the first sixteen on each topic: for
+                looking at a link, as nobody knows then who has sent what.
             overwrite: Replace an existing file.
 
         Raises:
@@ -78,7 +86,9 @@ class Recorder:
             path.unlink(missing_ok=True)
         try:
             listener = ListenerProcess.start(
-                "skewmi.deploy.recording.recorder_process", config, {"path": str(path)}
+                "skewmi.deploy.recording.recorder_process",
+                config,
+                {"path": str(path), "believed": believed},
             )
         except ListenerStartError as error:
             raise TransportError(f"cannot record to {path}: {error}") from error
@@ -91,6 +101,10 @@ class Recorder:
         """Add to the recording's metadata, such as the outcome; not for the hot loop."""
         self._listener.write({"metadata": [METADATA_NAME, dict(metadata)]})
 
+    def believe(self, believed: Mapping[str, Sequence[str]]) -> None:
+        """Record these senders from now on, and nobody else; see `start`."""
+        self._listener.write({"believed": believed})
+
     def close(self) -> RecordingSummary:
         """Finish the file and wait for it; safe to call twice.
 
@@ -100,12 +114,15 @@ class Recorder:
         if self._summary is None:
             try:
                 counts = self._listener.finish(_CLOSE_TIMEOUT_S)
+                strangers = strangers_told(counts)
             except (TimeoutError, ValueError) as error:
                 raise TransportError(
                     f"recording {self.path} stopped early: {self._listener.reason()}"
                 ) from error
             size = self.path.stat().st_size
-            self._summary = RecordingSummary(self.path, size_bytes=size, **counts)
+            self._summary = RecordingSummary(
+                self.path, counts["messages"], counts["missed"], size, strangers
+            )
         return self._summary
 
     def __enter__(self) -> Self:

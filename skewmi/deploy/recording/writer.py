@@ -18,6 +18,9 @@ CHUNK_BYTES = 32 * 1024
 """Small, since an unfinished chunk is what a kill of the writer loses: at most 60 ms of a
 running arm, 0.7 s of a resting one."""
 
+SENDER = "skewmi_publisher_gid"
+"""Key of a channel's metadata: hexadecimal global id of the one publisher whose messages it has."""
+
 _SEQUENCE_MASK = 0xFFFFFFFF
 
 
@@ -34,7 +37,7 @@ class RecordingWriter:
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES)
         self._writer.start(profile=Profile.ROS2, library="skewmi")
         self._schemas: dict[str, int] = {}
-        self._channels: dict[str, int] = {}
+        self._channels: dict[tuple[str, bytes], int] = {}
 
     def write(
         self,
@@ -44,6 +47,7 @@ class RecordingWriter:
         sequence: int = 0,
         log_time_ns: int | None = None,
         publish_time_ns: int | None = None,
+        sender: bytes = b"",
     ) -> None:
         """Add a message; nothing that its sender may have written is refused.
 
@@ -54,6 +58,7 @@ class RecordingWriter:
             log_time_ns: Wall clock now, ns since 1970; None looks at the clock.
             publish_time_ns: Publisher's wall clock, ns since 1970; None means `log_time_ns`.
                 Earlier ones are written as 0.
+            sender: Global id of its publisher; each has a channel of its own. Empty if unknown.
 
         Raises:
             OSError: The file cannot be written.
@@ -65,7 +70,7 @@ class RecordingWriter:
         # On the wire all of these are int64. One that MCAP's fields cannot hold would leave half
         # a record in the open chunk, which then nobody can read.
         self._writer.add_message(
-            self._channel(topic),
+            self._channel(topic, sender),
             max(0, log_time_ns),
             payload,
             max(0, publish_time_ns),
@@ -98,18 +103,22 @@ class RecordingWriter:
     ) -> None:
         self.close()
 
-    def _channel(self, topic: Topic) -> int:
-        channel = self._channels.get(topic.name)
+    def _channel(self, topic: Topic, sender: bytes) -> int:
+        channel = self._channels.get((topic.name, sender))
         if channel is None:
             type_name = topic.type_name
             if type_name not in self._schemas:
                 self._schemas[type_name] = self._writer.register_schema(
                     type_name, SchemaEncoding.ROS2, ros2_types.schema(type_name).encode()
                 )
-            channel = self._channels[topic.name] = self._writer.register_channel(
-                topic.name,
-                MessageEncoding.CDR,
-                self._schemas[type_name],
-                {"offered_qos_profiles": "", "topic_type_hash": ros2_types.type_hash(type_name)},
+            details = {
+                "offered_qos_profiles": "",
+                "topic_type_hash": ros2_types.type_hash(type_name),
+            }
+            if sender:
+                details[SENDER] = sender.hex()
+            channel = self._writer.register_channel(
+                topic.name, MessageEncoding.CDR, self._schemas[type_name], details
             )
+            self._channels[topic.name, sender] = channel
         return channel

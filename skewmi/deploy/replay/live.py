@@ -11,13 +11,15 @@ import contextlib
 import os
 import select
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import TracebackType
 from typing import Self
 
 from skewmi.child import told
+from skewmi.deploy.recording.listener import strangers_told
 from skewmi.deploy.recording.listener_process import ListenerProcess, ListenerStartError
 from skewmi.deploy.replay.live_options import LiveOptions
+from skewmi.deploy.wire.senders import Stranger
 from skewmi.deploy.wire.transport import TransportConfig
 from skewmi.errors import ConfigurationError
 
@@ -25,6 +27,9 @@ _STUCK_S = 5.0
 """Without a sign of life for so long, the process is killed; it gives one every second."""
 
 _CLOSE_TIMEOUT_S = 10.0
+
+_KEPT_BYTES = 65_536
+"""Of what the process has said last: its last words name strangers, a bounded number."""
 
 
 class LiveView:
@@ -39,11 +44,18 @@ class LiveView:
         self._said = b""
         self._stuck = False
         self._notes: list[str] | None = None
+        self.strangers: tuple[Stranger, ...] = ()
+        """Whose messages were left out; known once it is closed."""
         self._watcher = threading.Thread(target=self._watch, name="skewmi-live", daemon=True)
 
     @classmethod
     def start(
-        cls, options: LiveOptions, config: TransportConfig, metadata: Mapping[str, str], title: str
+        cls,
+        options: LiveOptions,
+        config: TransportConfig,
+        metadata: Mapping[str, str],
+        title: str,
+        believed: Mapping[str, Sequence[str]],
     ) -> Self:
         """Open a view, and watch over the process that draws it.
 
@@ -52,11 +64,13 @@ class LiveView:
             config: How to reach the robot server.
             metadata: What the run is about; see `reader.run_metadata`.
             title: What to call it.
+            believed: Whose messages to show: hexadecimal global ids by topic.
 
         Raises:
             ConfigurationError: It cannot be shown there; nothing has moved yet.
         """
         task = {
+            "believed": believed,
             "metadata": dict(metadata),
             "title": title,
             "spawn": options.spawn,
@@ -75,6 +89,10 @@ class LiveView:
     def pid(self) -> int:
         """Of the process."""
         return self._listener.process.pid
+
+    def believe(self, believed: Mapping[str, Sequence[str]]) -> None:
+        """Show the messages of these senders from now on, and nobody else's; see `start`."""
+        self._listener.write({"believed": believed})
 
     def close(self) -> list[str]:
         """End the view; what it lacks. Safe to call twice; neither raises nor waits for long."""
@@ -112,7 +130,7 @@ class LiveView:
             words = os.read(said, 4096)
             if not words:
                 return
-            self._said = (self._said + words)[-4096:]
+            self._said = (self._said + words)[-_KEPT_BYTES:]
 
     def _kill(self) -> None:
         self._stuck = True
@@ -125,6 +143,7 @@ class LiveView:
         summary = next(filter(None, map(told, reversed(self._said.splitlines()))), {})
         try:
             missed, taken = int(summary["missed"]), bool(summary["taken"])
+            self.strangers = strangers_told(summary)
         except (ValueError, KeyError, TypeError):
             return [f"the live view ended early: {self._listener.reason()}"]
         self._listener.process.wait()

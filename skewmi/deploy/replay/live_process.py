@@ -2,9 +2,9 @@
 
     python -m skewmi.deploy.replay.live_process
 
-Standard input and output as in `recording.listener`: the task is {"config", "metadata", "title",
-"spawn", "connect", "out"}. A line a second tells the owner that this process is not stuck; the
-counts come last.
+Standard input and output as in `recording.listener`: the task is {"config", "believed", "metadata",
+"title", "spawn", "connect", "out"}. A line a second tells the owner that this process is not stuck;
+the counts come last.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def _show(source: Input, streams: _Streams) -> tuple[Counts, RunAssembler]:
             PERIOD_S,
             on_sample=lambda topic, sample: assembler.feed(topic.name, sample.payload),
             on_round=draw,
-            on_line=lambda line: None,
+            on_line=lambda content: None,
         )
         draw(final=True)
     return counts, assembler
@@ -148,12 +148,7 @@ def main() -> int:
         sys.stderr.write(f"{' '.join(str(error).split())}\n")
         return 1
     taken = streams.finish()
-    tell_parent(
-        messages=counts.messages,
-        missed=counts.missed,
-        malformed=assembler.malformed,
-        taken=taken,
-    )
+    tell_parent(**counts.as_dict(), malformed=assembler.malformed, taken=taken)
     if not taken:
         # Tidying up would wait for whoever takes nothing more.
         os._exit(0)

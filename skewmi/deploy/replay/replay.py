@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
+from skewmi.deploy.recording.believed import Believed, believed_part
 from skewmi.deploy.recording.reader import read_recording
 from skewmi.deploy.replay import viewer
 from skewmi.deploy.replay.assembler import understand
@@ -24,7 +25,7 @@ class ReplayReport:
 
     duration_s: float
     messages: dict[str, int]
-    """Number by topic."""
+    """Number by topic, of those shown."""
     malformed: int
     """Messages that could not be decoded and are left out."""
     complete: bool
@@ -35,6 +36,8 @@ class ReplayReport:
     """Largest |commanded| as a fraction of its limit, over all joints."""
     tracking_error_mm: float | None
     """Largest distance from commanded to measured hand, mm."""
+    notes: tuple[str, ...] = ()
+    """Whose messages are left out as not believed, in words."""
 
 
 def write_replay(recording_path: Path, rrd_path: Path, *, overwrite: bool = False) -> ReplayReport:
@@ -51,15 +54,15 @@ def write_replay(recording_path: Path, rrd_path: Path, *, overwrite: bool = Fals
     """
     check_output(rrd_path, overwrite=overwrite, inputs=[recording_path])
     recording = read_recording(recording_path)
-    run = understand(recording)
+    believed = believed_part(recording)
+    run = understand(believed.recording)
     stream = rr.RecordingStream(APPLICATION, recording_id=recording_path.stem)
     with written_aside(rrd_path) as unfinished:
         stream.save(unfinished)
         RunView(stream, run.subject, recording_path.stem).draw(run)
         stream.flush()
         stream.disconnect()
-    counts = {topic: len(messages) for topic, messages in recording.messages.items()}
-    return _report(run, counts, recording.complete)
+    return _report(run, believed)
 
 
 def show_replay(recording_path: Path) -> ReplayReport:
@@ -69,16 +72,18 @@ def show_replay(recording_path: Path) -> ReplayReport:
         ConfigurationError: The recording cannot be used, or no viewer can be started.
     """
     recording = read_recording(recording_path)
-    run = understand(recording)
+    believed = believed_part(recording)
+    run = understand(believed.recording)
     stream = rr.RecordingStream(APPLICATION, recording_id=recording_path.stem)
     stream.connect_grpc(viewer.spawn_viewer("use --out and open the file elsewhere"))
     RunView(stream, run.subject, recording_path.stem).draw(run)
     stream.flush()
+    return _report(run, believed)
+
+
+def _report(run: Run, believed: Believed) -> ReplayReport:
+    recording = believed.recording
     counts = {topic: len(messages) for topic, messages in recording.messages.items()}
-    return _report(run, counts, recording.complete)
-
-
-def _report(run: Run, counts: dict[str, int], complete: bool) -> ReplayReport:
     motion, limits = run.commanded, run.subject.limits
     use = {}
     for name, values in (("velocity", motion.v), ("acceleration", motion.a), ("jerk", motion.jerk)):
@@ -90,8 +95,9 @@ def _report(run: Run, counts: dict[str, int], complete: bool) -> ReplayReport:
         duration_s=run.duration_s,
         messages=counts,
         malformed=run.malformed,
-        complete=complete,
+        complete=recording.complete,
         success_s=run.success_s,
         limit_use=use,
         tracking_error_mm=error_mm,
+        notes=believed.notes,
     )

@@ -10,7 +10,7 @@ A backend is one folder (or file) of `backends` and one line of its registry.
 from __future__ import annotations
 
 import secrets
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -86,6 +86,15 @@ class Scene(Protocol):
 
     def state(self) -> SceneState | None:
         """Joints of the scene in the newest cycle; None if somebody else publishes them."""
+
+    def publishers(self) -> Iterable[bytes]:
+        """Global ids, 16 bytes each, of those who publish this scene's states in the robot server's
+        place, such as the process of an emulated controller; empty if it publishes them itself.
+
+        Asked for each description. Sessions and recorders believe nobody else, so that only who is
+        known to be what he says belongs here. A camera that the robot server knows nothing of is
+        named by the user instead (`skewmi deploy --scene-from`).
+        """
 
     def contact(self) -> Mapping[str, float]:
         """Largest of `skewmi.contact.QUANTITIES` since the last reset; empty if unknown."""

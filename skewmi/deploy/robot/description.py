@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 from skewmi.errors import TransportError
@@ -56,6 +56,9 @@ class RobotDescription:
     """What is missing, if it cannot."""
     scene: str = ""
     """Shapes of the scene, as `SceneGeometry.to_json`; only in answers to requests for it."""
+    publishers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Global ids of those whose states and status are to be believed, by topic, hexadecimal: the
+    robot server's own, and whoever publishes the scene's states for it."""
 
     @property
     def scene_fields(self) -> dict[str, str]:
@@ -76,7 +79,7 @@ class RobotDescription:
 
     @staticmethod
     def from_json(text: str) -> RobotDescription:
-        """Inverse of `to_json`.
+        """Inverse of `to_json`; what later versions may add is passed over.
 
         Raises:
             TransportError: The text is not a description, or one of another version.
@@ -89,7 +92,10 @@ class RobotDescription:
             content["stops"] = int(content["stops"])
             content["contact"] = {k: float(v) for k, v in content["contact"].items()}
             content["limits"] = {k: tuple(v) for k, v in content["limits"].items()}
-            return RobotDescription(**content)
+            publishers = content.get("publishers", {})
+            content["publishers"] = {k: tuple(map(str, v)) for k, v in publishers.items()}
+            known = {field.name for field in fields(RobotDescription)}
+            return RobotDescription(**{k: v for k, v in content.items() if k in known})
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise TransportError(
                 f"the robot server's description cannot be read ({error}); "

@@ -43,6 +43,18 @@ class StatePublisher:
         self._told: Mapping[str, str] = {}
         self._next_told_ns = 0
 
+    def publishers(self) -> dict[str, tuple[str, ...]]:
+        """Whom to believe, for the description: see `RobotDescription.publishers`."""
+        scene = self._backend.scene
+        others = () if scene is None else tuple(scene.publishers())
+        return {
+            topics.YUMI_JOINT_STATES.name: (self._joint_states.gid.hex(),),
+            topics.YUMI_STATUS.name: (self._status.gid.hex(),),
+            topics.YUMI_SCENE_STATES.name: tuple(
+                gid.hex() for gid in others or (self._scene_states.gid,)
+            ),
+        }
+
     def states(self, state: RobotState) -> None:
         """Publish the newest cycle's states, if the first `CYCLE_NS` after the last are over.
 

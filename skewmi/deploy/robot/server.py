@@ -194,6 +194,7 @@ class RobotServer:
             limits=limit_values(limits) | _flange_speed(backend),
             contact={} if scene is None else scene.contact(),
             scene=scene.shapes_json if with_scene and scene is not None else "",
+            publishers=self._publisher.publishers(),
         )
 
     def _describe(self, request: Request) -> TriggerReply:

@@ -26,6 +26,7 @@ from skewmi.deploy.session.states import SessionEvent
 from skewmi.deploy.session.status import SessionStatus
 from skewmi.deploy.session.stream import ChunkStream
 from skewmi.deploy.session.timing import CycleTimes
+from skewmi.deploy.session.trust import Trust
 from skewmi.deploy.session.warm_up import warm_up
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.transport import Link
@@ -58,14 +59,24 @@ def connect(
     """
     layout, workspace = policy.layout, require_workspace(policy.layout)
     limits = planning_limits(options.limits, options.speed)
-    status = SessionStatus(link.publisher(topics.YUMI_STATUS))
-    robot = RobotClient.open(link, dry_run=options.dry_run)
-    described = robot.describe(with_scene=True)
+    told = link.publisher(topics.YUMI_STATUS)
+    commands, gripper = link.publisher(topics.YUMI_TRAJECTORY), link.publisher(topics.YUMI_GRIPPER)
+    shown = PolicyTopics.open(link, layout)
+    own = {
+        topics.YUMI_STATUS.name: (told.gid,),
+        topics.YUMI_TRAJECTORY.name: (commands.gid,),
+        topics.YUMI_GRIPPER.name: (gripper.gid,),
+        **shown.gids,
+    }
+    status, trust = SessionStatus(told), Trust(link, own, options.scene_from)
+    trust.on_stranger = status.tell_strangers
+    robot = RobotClient.open(link, trust, commands, gripper, dry_run=options.dry_run)
+    described = trust.meet(with_scene=True)
     check_pace(described, lock_step=options.lock_step)
     check_agreement(layout, options.robot_model_hash, limits, described)
     status.clock_ns = described.clock_ns
 
-    observer = Observer.open(link, layout, described)
+    observer = Observer.open(link, layout, described, trust.senders)
     flange_speed = described.limits.get(FLANGE_SPEED, (TCP_SPEED_LIMIT,))[0]
     times, checks = CycleTimes(), ChunkChecks(limits, workspace, flange_speed)
     stream = ChunkStream(
@@ -80,7 +91,6 @@ def connect(
     planner = Planner(workspace, limits, flange_speed=flange_speed)
     pace = choose_pace(layout, options.speed, planner.hand_bounds.speed, limits.name)
     _tell_pace(pace, report, tell)
-    shown = PolicyTopics.open(link, layout)
     motion = PolicyMotion(policy, planner, observer, stream, robot, shown, times, pace.step_cycles)
     preflight = Preflight(layout, options, limits, robot, observer, checks, status, stop, described)
     approach = Approach(loop, stream, limits, flange_speed)
@@ -91,7 +101,7 @@ def connect(
         policy, workspace, Planner(workspace, limits, flange_speed=flange_speed), checks, stream
     )
     status.fire(SessionEvent.CONNECTED, f"{described.backend} robot, {described.task}")
-    return Session(options, episodes, status, stream, times, report, stop, tell)
+    return Session(options, episodes, status, trust, stream, times, report, stop, tell)
 
 
 def _late_by_cycle_ns(described: RobotDescription) -> int:

@@ -142,6 +142,15 @@ class ControlLoop:
         check_interrupt(self._stop)
         return q, state
 
+    def confirm_senders(self) -> None:
+        """Look through what has come since, unread, for somebody who sends in another's name.
+
+        Raises:
+            TransportError: There is somebody.
+        """
+        self._observer.forget()
+        self._robot.confirm_senders()
+
     def _read(self) -> ArmState:
         """The next state of the arm, unless somebody or something ends the motion."""
         while (state := self._observer.next_state()) is None:

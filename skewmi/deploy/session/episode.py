@@ -171,6 +171,8 @@ class EpisodeRunner:
         """Give the arm back; what the robot server says when it rests, if it does."""
         try:
             at_rest = self._robot.disarm()
+            # What came last may have been somebody else's: by now the robot server's own has come.
+            self._loop.confirm_senders()
         except SkewmiError as error:
             self._add_fault(ending, str(error))
             return None

@@ -31,6 +31,8 @@ class SessionNews:
     """The state before."""
     event: SessionEvent
     """What changed it."""
+    strangers: str = ""
+    """Who publishes on topics of the robot server without being it, in words."""
 
     def encode(self) -> bytes:
         """diagnostic_msgs/DiagnosticArray with one entry."""
@@ -40,8 +42,10 @@ class SessionNews:
             "from": self.source.value,
             "event": self.event.value,
         }
+        if self.strangers:
+            values["strangers"] = self.strangers
         message = f"{self.state.value}: {self.reason}"
-        level = _LEVELS.get(self.state, OK)
+        level = _LEVELS.get(self.state, WARN if self.strangers else OK)
         return encode_status(Status(self.stamp_ns, STATUS_NAME, level, message, values))
 
     @staticmethod
@@ -61,6 +65,7 @@ class SessionNews:
                 status.values["reason"],
                 SessionState(status.values["from"]),
                 SessionEvent(status.values["event"]),
+                status.values.get("strangers", ""),
             )
         except (KeyError, ValueError) as error:
             raise TransportError(

@@ -30,6 +30,14 @@ class PolicyTopics:
         observations = link.publisher(topics.POLICY_OBSERVATION)
         return PolicyTopics(observations, link.publisher(topics.POLICY_ACTION), layout)
 
+    @property
+    def gids(self) -> dict[str, tuple[bytes, ...]]:
+        """Global ids of the publishers, by topic."""
+        return {
+            topics.POLICY_OBSERVATION.name: (self._observations.gid,),
+            topics.POLICY_ACTION.name: (self._actions.gid,),
+        }
+
     def publish(self, stamp_ns: int, observation: Array, action: Array | None = None) -> None:
         """Publish a control step; without an action the observation that ended the episode."""
         self._observations.put(_encode(stamp_ns, self._observation_names, observation))

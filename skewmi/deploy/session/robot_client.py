@@ -11,6 +11,7 @@ from skewmi.deploy.robot.description import SCENE_REQUEST, RobotDescription
 from skewmi.deploy.robot.states import ServerState
 from skewmi.deploy.robot.status import RobotStatus
 from skewmi.deploy.session.interrupt import StopRequestedError
+from skewmi.deploy.session.trust import Trust
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.messages import (
     JointStates,
@@ -39,6 +40,7 @@ class RobotClient:
 
     Args:
         link: An open link to it.
+        trust: Whom to believe; its `server` is whose answers count.
         commands: Of `topics.YUMI_TRAJECTORY`.
         gripper: Of `topics.YUMI_GRIPPER`.
         status: Of `topics.YUMI_STATUS`; keeps all.
@@ -48,6 +50,7 @@ class RobotClient:
     def __init__(
         self,
         link: Link,
+        trust: Trust,
         commands: Publisher,
         gripper: Publisher,
         status: LatestReader,
@@ -55,6 +58,7 @@ class RobotClient:
         dry_run: bool,
     ) -> None:
         self._link = link
+        self._trust = trust
         self._commands = commands
         self._gripper = gripper
         self._status = status
@@ -64,15 +68,12 @@ class RobotClient:
         self._heard = False
 
     @staticmethod
-    def open(link: Link, *, dry_run: bool) -> RobotClient:
-        """Declare on an open link what is said and listened to."""
-        return RobotClient(
-            link,
-            link.publisher(topics.YUMI_TRAJECTORY),
-            link.publisher(topics.YUMI_GRIPPER),
-            link.subscribe(topics.YUMI_STATUS, depth=None),
-            dry_run=dry_run,
-        )
+    def open(
+        link: Link, trust: Trust, commands: Publisher, gripper: Publisher, *, dry_run: bool
+    ) -> RobotClient:
+        """Listen to the status of a robot server on an open link."""
+        status = link.subscribe(topics.YUMI_STATUS, depth=None, senders=trust.senders)
+        return RobotClient(link, trust, commands, gripper, status, dry_run=dry_run)
 
     @property
     def _gids(self) -> bytes:
@@ -124,7 +125,10 @@ class RobotClient:
 
         Raises:
             CommandRefusedError: Somebody else is, or the robot server is in fault.
+            TransportError: There is no robot server, or more than one.
         """
+        # It may be another one than in the last episode.
+        self._trust.meet()
         if not self._dry_run:
             self._call(topics.YUMI_ARM, self._gids)
             self._armed = True
@@ -153,8 +157,9 @@ class RobotClient:
             StopRequestedError: It was stopped.
             LateChunkError: It refused a chunk as late.
             CommandRefusedError: It refused a command for another reason.
-            TransportError: It is in fault.
+            TransportError: It is in fault, or somebody sends in its name.
         """
+        self._trust.look()
         for status in self._news():
             if status.state is ServerState.FAULT:
                 raise TransportError(f"the robot server is in {status.message}")
@@ -164,6 +169,15 @@ class RobotClient:
                 late = status.out_of_step and not late_is_final
                 kind = LateChunkError if late else CommandRefusedError
                 raise kind(f"the robot server refused a command: {status.refusal}")
+
+    def confirm_senders(self) -> None:
+        """Look once more whether anybody sends in the robot server's name.
+
+        Raises:
+            TransportError: Somebody does.
+        """
+        self._status.drain()
+        self._trust.look()
 
     def wait_for_hold(self) -> Array:
         """Wait, armed, until the tail has been followed to its end.
@@ -204,7 +218,7 @@ class RobotClient:
             return None
         deadline = time.monotonic() + REST_TIMEOUT_S
         # Refused if somebody else commands by now: then ours has come to rest before.
-        self._link.call(topics.YUMI_DISARM, CALL_TIMEOUT_S, self._gids)
+        self._link.call(topics.YUMI_DISARM, CALL_TIMEOUT_S, self._gids, only=self._trust.server)
         while (description := self.describe()).state == ServerState.STOPPING.value:
             if time.monotonic() > deadline:
                 raise TransportError(f"the arm does not rest within {REST_TIMEOUT_S:g} s")
@@ -244,7 +258,7 @@ class RobotClient:
         return self._refused > before
 
     def _call(self, service: topics.Service, request: bytes = b"") -> TriggerReply:
-        reply = self._link.call(service, CALL_TIMEOUT_S, request)
+        reply = self._link.call(service, CALL_TIMEOUT_S, request, only=self._trust.server)
         if not reply.success:
             raise CommandRefusedError(f"{service.name} was refused: {reply.message}")
         return reply

@@ -25,7 +25,7 @@ class SceneStates:
     """The newest values of the observation fields that the scene tells.
 
     Args:
-        reader: Of `topics.YUMI_SCENE_STATES`; in lock-step it keeps all, else the newest.
+        reader: Of `topics.YUMI_SCENE_STATES`, of those who are believed. It keeps all.
         scene_fields: Observation field of each joint in the scene states, by the joint's name.
         observation_names: Fields of the policy's observation.
         lock_step: Take states in order, up to the stamp that is asked for; none is ever too old.
@@ -51,7 +51,8 @@ class SceneStates:
 
     def take(self, stamp_ns: int) -> None:
         """Take in the states up to a stamp; the server sends them before the joints'."""
-        for sample in self._reader.drain():
+        samples = self._reader.drain()
+        for sample in samples if self._lock_step else samples[-1:]:
             self._queue.append(decode_joint_states(sample.payload))
             self._received_ns = sample.received_ns
         while self._queue and (self._queue[0].stamp_ns <= stamp_ns or not self._lock_step):
@@ -80,7 +81,9 @@ class SceneStates:
             StaleStateError: Fields that the policy needs are missing or too old.
         """
         if self.missing():
-            raise StaleStateError(f"the scene states lack {self.missing()}")
+            others = self._reader.others()
+            hint = " (a camera of yours is named by --scene-from)" if others else ""
+            raise StaleStateError(f"the scene states lack {self.missing()}{others}{hint}")
         age_s = (time.monotonic_ns() - self._received_ns) / 1e9
         if arm_stamp_ns is not None:
             # A publisher that hangs may repeat an old state for ever: its stamp tells.
@@ -88,5 +91,5 @@ class SceneStates:
         if self._needed and not self._lock_step and age_s > MAX_SCENE_AGE_S:
             raise StaleStateError(
                 f"the scene state is {1e3 * age_s:.0f} ms old; at most "
-                f"{1e3 * MAX_SCENE_AGE_S:.0f} ms are allowed"
+                f"{1e3 * MAX_SCENE_AGE_S:.0f} ms are allowed{self._reader.others()}"
             )

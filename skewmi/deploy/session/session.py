@@ -17,6 +17,7 @@ from skewmi.deploy.session.states import SessionEvent
 from skewmi.deploy.session.status import SessionStatus
 from skewmi.deploy.session.stream import ChunkStream
 from skewmi.deploy.session.timing import CycleTimes
+from skewmi.deploy.session.trust import Trust
 
 
 class Session:
@@ -26,6 +27,7 @@ class Session:
         options: How many episodes, at which pace.
         episodes: Runs them.
         status: Told what happens.
+        trust: Knows who else was heard.
         stream: Knows what was sent.
         times: How long the cycles took.
         report: Filled in as the run goes on.
@@ -38,6 +40,7 @@ class Session:
         options: DeployOptions,
         episodes: EpisodeRunner,
         status: SessionStatus,
+        trust: Trust,
         stream: ChunkStream,
         times: CycleTimes,
         report: DeployReport,
@@ -47,11 +50,13 @@ class Session:
         self._options = options
         self._episodes = episodes
         self._status = status
+        self.trust = trust
         self._stream = stream
         self._times = times
         self._report = report
         self._stop = stop
         self._tell = tell
+        self._warned: set[str] = set()
 
     def run(self) -> None:
         """Run all episodes; what happened is in the report."""
@@ -71,10 +76,12 @@ class Session:
         report.stage_ms = self._times.stage_percentiles_ms()
         report.missed_cycles = self._stream.missed_cycles
         report.interrupted = self._stop.is_set()
+        report.add_strangers(self.trust.senders.strangers())
 
     def _episode(self, index: int) -> bool:
         """One episode; whether to go on with the next."""
         episode, go_on = self._episodes.run(index)
+        self._warn()
         if episode.outcome in ("stopped", "fault"):
             self._report.stops.append(episode.reason)
         self._report.episodes.append(episode)
@@ -82,3 +89,14 @@ class Session:
             f"episode {index + 1}: {episode.outcome} after {episode.steps} steps ({episode.reason})"
         )
         return go_on and not self._stop.is_set()
+
+    def _warn(self) -> None:
+        """Name each sender that was not believed, once."""
+        for stranger in self.trust.senders.strangers():
+            name = str(stranger)
+            if name not in self._warned:
+                self._warned.add(name)
+                self._tell(
+                    f"warning: {name} is not the robot server; {stranger.messages} messages so "
+                    "far were left out"
+                )

@@ -12,6 +12,7 @@ from typing import Any
 import zenoh
 
 from skewmi.deploy.wire import messages, ros2_keys
+from skewmi.deploy.wire.senders import TopicSenders
 from skewmi.deploy.wire.topics import Topic
 from skewmi.errors import SkewmiError, TransportError
 
@@ -77,11 +78,22 @@ class Publisher:
 
 
 class LatestReader:
-    """The receiving end of a topic. Nothing here blocks but `wait`."""
+    """The receiving end of a topic. Nothing here blocks but `wait`.
 
-    def __init__(self, handler: Any, topic: Topic) -> None:
+    Args:
+        handler: Of the Zenoh subscriber.
+        topic: What it subscribes to.
+        most: Messages that one look takes in or leaves out; the rest waits for the next.
+        senders: Who is believed; None believes everybody.
+    """
+
+    def __init__(
+        self, handler: Any, topic: Topic, most: int, senders: TopicSenders | None = None
+    ) -> None:
         self._handler = handler
         self._topic = topic
+        self._most = most
+        self._senders = senders
         self._latest: Sample | None = None
 
     def latest(self) -> Sample | None:
@@ -95,15 +107,25 @@ class LatestReader:
         return samples[-1] if samples else None
 
     def drain(self) -> list[Sample]:
-        """All unread samples, oldest first; samples without a proper attachment are left out."""
+        """All unread samples, oldest first.
+
+        Those without a proper attachment are left out, and those of senders that are not believed.
+        """
         samples: list[Sample] = []
-        while (received := self._handler.try_recv()) is not None:
-            sample = _sample(received)
+        for _ in range(self._most):
+            received = self._handler.try_recv()
+            if received is None:
+                break
+            sample = _sample(received, self._senders)
             if sample is not None:
                 samples.append(sample)
         if samples:
             self._latest = samples[-1]
         return samples
+
+    def others(self) -> str:
+        """Who else publishes here without being believed, to end a complaint with."""
+        return "" if self._senders is None else self._senders.words()
 
     def wait(self, timeout_s: float) -> Sample:
         """Wait for a sample that was not taken before; return the newest.
@@ -173,11 +195,16 @@ class Service:
         query.drop()
 
 
-def _sample(received: Any) -> Sample | None:
-    if received.attachment is None:
+def _sample(received: Any, senders: TopicSenders | None) -> Sample | None:
+    attachment = received.attachment
+    # Its length before its bytes: a long one is not worth copying.
+    if attachment is None or len(attachment) > ros2_keys.ATTACHMENT_BYTES:
         return None
     try:
-        attachment = ros2_keys.decode_attachment(received.attachment.to_bytes())
+        sequence, source_time_ns, gid = ros2_keys.decode_attachment(attachment.to_bytes())
     except TransportError:
         return None
-    return Sample(received.payload.to_bytes(), *attachment, received_ns=time.monotonic_ns())
+    if senders is not None and not senders.admit(gid, sequence):
+        return None
+    payload = received.payload.to_bytes()
+    return Sample(payload, sequence, source_time_ns, gid, received_ns=time.monotonic_ns())

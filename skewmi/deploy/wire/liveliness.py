@@ -14,6 +14,10 @@ from typing import Any
 import zenoh
 
 from skewmi.deploy.wire import ros2_keys
+from skewmi.deploy.wire.topics import Topic
+
+MAX_TOKENS = 10_000
+"""Tokens that are remembered: whoever declares more has bad intentions."""
 
 
 class Graph:
@@ -26,7 +30,8 @@ class Graph:
     def __init__(self, subscriber: Any) -> None:
         self._lock = threading.Lock()
         self._session_of: dict[bytes, str] = {}
-        self._tokens: set[str] = set()
+        self._node_of: dict[bytes, str] = {}
+        self._tokens: dict[str, bytes] = {}
         self._subscriber = subscriber
 
     @staticmethod
@@ -47,6 +52,22 @@ class Graph:
             self._update()
             return self._session_of.get(entity_gid)
 
+    def node_of(self, entity_gid: bytes) -> str:
+        """Name of the node an entity belongs to; empty if it is not (or no longer) there."""
+        with self._lock:
+            self._update()
+            return self._node_of.get(entity_gid, "")
+
+    def publishers(self, topic: Topic) -> dict[bytes, str]:
+        """Global ids of the publishers that are announced on a topic, and their nodes' names."""
+        with self._lock:
+            self._update()
+            return {
+                gid: ros2_keys.node_of_token(token)
+                for token, gid in self._tokens.items()
+                if ros2_keys.is_token_of(token, ros2_keys.EntityKind.PUBLISHER, topic)
+            }
+
     def tokens(self) -> tuple[str, ...]:
         """All tokens alive, sorted."""
         with self._lock:
@@ -60,9 +81,12 @@ class Graph:
     def _update(self) -> None:
         while (sample := self._subscriber.handler.try_recv()) is not None:
             token = str(sample.key_expr)
-            if sample.kind == zenoh.SampleKind.PUT:
-                self._tokens.add(token)
-                self._session_of[ros2_keys.gid(token)] = ros2_keys.session_of_token(token)
-            else:
-                self._tokens.discard(token)
-                self._session_of.pop(ros2_keys.gid(token), None)
+            gid = ros2_keys.gid(token)
+            if sample.kind != zenoh.SampleKind.PUT:
+                self._tokens.pop(token, None)
+                self._session_of.pop(gid, None)
+                self._node_of.pop(gid, None)
+            elif len(self._tokens) < MAX_TOKENS:
+                self._tokens[token] = gid
+                self._session_of[gid] = ros2_keys.session_of_token(token)
+                self._node_of[gid] = ros2_keys.node_of_token(token)

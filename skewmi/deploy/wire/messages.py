@@ -66,6 +66,8 @@ class TriggerReply:
 
     success: bool
     message: str
+    replier: str = field(default="", compare=False, repr=False)
+    """Zenoh id of the session that answered, where Zenoh tells it."""
 
 
 def encode_chunk(chunk: TrajectoryChunk) -> bytes:

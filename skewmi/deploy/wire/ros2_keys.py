@@ -23,6 +23,7 @@ QOS_BEST_EFFORT_1 = "2::,1:,:,:,,"
 """Best effort, volatile, keep the last one."""
 
 _ATTACHMENT = struct.Struct("<qqB16s")
+ATTACHMENT_BYTES = _ATTACHMENT.size
 _GID_BYTES = 16
 
 
@@ -95,6 +96,18 @@ def session_of_token(token: str) -> str:
     if len(chunks) < 3 or chunks[0] != ADMIN_SPACE:
         raise TransportError(f"not a ROS 2 liveliness token: {token!r}")
     return chunks[2]
+
+
+def node_of_token(token: str) -> str:
+    """Name of the node that a token belongs to, without slashes; empty if it tells none."""
+    chunks = token.split("/")
+    return chunks[8].replace("%", "/").strip("/") if len(chunks) > 8 else ""
+
+
+def is_token_of(token: str, kind: EntityKind, topic: Topic | Service) -> bool:
+    """Whether a token announces an entity of a kind on a topic or service."""
+    chunks = token.split("/")
+    return len(chunks) > 9 and chunks[5] == kind and chunks[9] == mangle(topic.name)
 
 
 def gid(token: str) -> bytes:

@@ -32,15 +32,21 @@ from typing import Any, Self
 import zenoh
 
 from skewmi.deploy.wire import messages, ros2_keys, tls_diagnosis, zenoh_file
+from skewmi.deploy.wire.calls import Caller
 from skewmi.deploy.wire.channels import Handler, LatestReader, Publisher, Sample, Service
 from skewmi.deploy.wire.liveliness import Graph
 from skewmi.deploy.wire.ros2_keys import QOS_BEST_EFFORT_1, QOS_RELIABLE_10, EntityKind
+from skewmi.deploy.wire.senders import Senders
 from skewmi.deploy.wire.topics import YUMI_DESCRIBE, Topic
 from skewmi.deploy.wire.topics import Service as ServiceName
 from skewmi.deploy.wire.transport_config import TransportConfig
 from skewmi.errors import TransportError
 
 __all__ = ["LatestReader", "Link", "Publisher", "Sample", "TransportConfig"]
+
+
+_ALL = 10_000
+"""Unread messages that are kept where all are wanted."""
 
 
 class Link:
@@ -67,7 +73,11 @@ class Link:
         self._node = node
         self._entities = 0
         self._declared: list[Any] = []
-        self._clients: dict[str, tuple[bytes, int]] = {}
+        self._caller = Caller(
+            session,
+            config,
+            lambda name: self._announce(EntityKind.CLIENT, name, QOS_RELIABLE_10),
+        )
         self._tokens: list[Any] = [node_token]
         self.graph = graph
 
@@ -111,22 +121,27 @@ class Link:
         self._declared.append(publisher)
         return Publisher(publisher, entity_gid)
 
-    def subscribe(self, topic: Topic, depth: int | None = 1) -> LatestReader:
+    def subscribe(
+        self, topic: Topic, depth: int | None = 1, senders: Senders | None = None
+    ) -> LatestReader:
         """Subscribe to a topic.
 
         Args:
             topic: Which.
             depth: How many unread samples are kept, the newest; None keeps all (up to 10,000,
                 then the oldest are dropped) for `drain`.
+            senders: Who is believed; None believes everybody. Whoever believes few needs room for
+                the messages of others, which are kept until they are looked at.
         """
         qos = QOS_BEST_EFFORT_1 if depth == 1 else QOS_RELIABLE_10
         self._announce(EntityKind.SUBSCRIPTION, topic, qos)
+        room = _ALL if depth is None else depth
         subscriber = self._session.declare_subscriber(
-            ros2_keys.data_key(self._config.domain, topic),
-            zenoh.handlers.RingChannel(10_000 if depth is None else depth),
+            ros2_keys.data_key(self._config.domain, topic), zenoh.handlers.RingChannel(room)
         )
         self._declared.append(subscriber)
-        return LatestReader(subscriber.handler, topic)
+        believed = None if senders is None else senders.on(topic)
+        return LatestReader(subscriber.handler, topic, room, believed)
 
     def service(self, name: ServiceName, handler: Handler, *, polled: bool = False) -> Service:
         """Serve a service.
@@ -151,7 +166,7 @@ class Link:
         return service
 
     def call(
-        self, name: ServiceName, timeout_s: float, request: bytes = b""
+        self, name: ServiceName, timeout_s: float, request: bytes = b"", only: str = ""
     ) -> messages.TriggerReply:
         """Call a service and wait for its reply.
 
@@ -159,39 +174,22 @@ class Link:
             name: Which.
             timeout_s: How long to wait, s.
             request: Extra bytes behind the (empty) Trigger request, for our own robot servers.
+            only: Zenoh id of the session whose answer counts; empty for the first that comes.
 
         Raises:
             TransportError: Nobody serves it, it did not answer in time, or not sensibly.
         """
-        entity_gid, sequence = self._clients.get(name.name, (b"", 0))
-        if not entity_gid:
-            entity_gid = self._announce(EntityKind.CLIENT, name, QOS_RELIABLE_10)
-        sequence += 1
-        self._clients[name.name] = (entity_gid, sequence)
-        try:
-            replies = self._session.get(
-                ros2_keys.data_key(self._config.domain, name),
-                zenoh.handlers.FifoChannel(4),
-                target=zenoh.QueryTarget.ALL_COMPLETE,
-                consolidation=zenoh.ConsolidationMode.NONE,
-                timeout=timeout_s,
-                congestion_control=zenoh.CongestionControl.BLOCK,
-                priority=zenoh.Priority.INTERACTIVE_HIGH,
-                express=True,
-                payload=messages.encode_trigger_request(request),
-                attachment=ros2_keys.encode_attachment(sequence, time.time_ns(), entity_gid),
-            )
-            for reply in replies:
-                if reply.ok is not None:
-                    return messages.decode_trigger_reply(reply.ok.payload.to_bytes())
-        except zenoh.ZError as error:
-            raise TransportError(
-                f"cannot call {name.name}: {zenoh_file.first_line(error)}"
-            ) from error
-        raise TransportError(
-            f"no answer from {name.name} at {self._config.where} in ROS 2 domain "
-            f"{self._config.domain} within {timeout_s:g} s"
-        )
+        return self._caller.call(name, timeout_s, request, only)
+
+    def call_all(
+        self, name: ServiceName, timeout_s: float, request: bytes = b""
+    ) -> list[messages.TriggerReply]:
+        """Call a service of everybody who serves it; their replies, one of each session.
+
+        Raises:
+            TransportError: Nobody answers in time, or somebody not sensibly.
+        """
+        return self._caller.call_all(name, timeout_s, request)
 
     def wait_for_robot(self, timeout_s: float) -> dict[str, Any]:
         """Wait until a robot server describes itself.

@@ -32,6 +32,7 @@ from fault_kinds import (
     Inject,
     changed,
     clock_jump,
+    copied,
     cut_short,
     cut_short_late,
     delayed,
@@ -48,10 +49,16 @@ from fault_kinds import (
     restarted,
     sent_late,
     silent,
+    stranger,
     wrong_state,
 )
 
-from skewmi.deploy.wire.topics import YUMI_JOINT_STATES, YUMI_SCENE_STATES
+from skewmi.deploy.wire.topics import (
+    YUMI_JOINT_STATES,
+    YUMI_SCENE_STATES,
+    YUMI_STATUS,
+    Topic,
+)
 
 
 @dataclass(frozen=True)
@@ -131,6 +138,19 @@ def _clock_row(name: str, offset_s: int) -> Row:
     return Row(fault, Expect(GOES_ON), Expect(GOES_ON), ASKED)
 
 
+def _stranger_row(what: str, topic: Topic) -> Row:
+    inject = stranger(topic)
+    named = Expect(GOES_ON, f"not believed: {topic.name} stranger")
+    fault = Fault(what, inject, inject, lead_ms=PATIENT_MS)
+    return Row(fault, named, named, ASKED, go_on="nothing to do")
+
+
+def _copied_row(what: str, topic: Topic) -> Row:
+    inject = copied(topic)
+    twice = Expect(FAULT, f"on {topic.name}: what the robot server sends cannot be told from")
+    return Row(Fault(what, inject, inject), twice, twice, twice)
+
+
 STALE_JOINTS = Expect(STOPPED, "no new joint state for")
 STALE_SCENE = Expect(STOPPED, "the scene state is")
 NOT_FINITE = Expect(FAULT, "joint states hold positions that are not finite")
@@ -153,6 +173,13 @@ GROUPS: dict[str, tuple[Row, ...]] = {
         _state_row("joint states with a NaN", wrong_state, NOT_FINITE),
         _state_row("scene states stop coming", silent(YUMI_SCENE_STATES), STALE_SCENE),
         _state_row("the same scene state again and again", frozen(YUMI_SCENE_STATES), STALE_SCENE),
+    ),
+    "Strangers on the robot server's topics": (
+        _stranger_row("somebody else's joint states", YUMI_JOINT_STATES),
+        _stranger_row("somebody else's scene: lid shut, button pressed", YUMI_SCENE_STATES),
+        _stranger_row("somebody else's status: in fault", YUMI_STATUS),
+        _copied_row("joint states also from somebody with the same id", YUMI_JOINT_STATES),
+        _copied_row("scene states also from somebody with the same id", YUMI_SCENE_STATES),
     ),
     "Chunks on their way": (
         _stream_row("1 chunk lost", lost(1), SPLICE, SPLICE),

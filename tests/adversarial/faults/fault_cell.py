@@ -92,6 +92,8 @@ class Cell:
         self.fault_s: float | None = None
         """When the fault began, monotonic clock."""
         self.server_died_s: float | None = None
+        self.over = threading.Event()
+        """Set when the run has ended."""
         self._threads: list[threading.Thread] = []
 
     def stop(self) -> None:
@@ -109,6 +111,7 @@ class Cell:
         self._threads.append(thread)
 
     def join(self) -> None:
+        self.over.set()
         for thread in self._threads:
             thread.join(30.0)
             assert not thread.is_alive()
@@ -231,6 +234,7 @@ def _said(report: dict[str, Any] | None, link: FaultLink, cell: Cell) -> str:
     said = [*cell.told, link.said_by_robot()]
     if report is not None:
         said += [episode["reason"] for episode in report["per_episode"]]
+        said += [f"not believed: {s['topic']} {s['node']}" for s in report["strangers"]]
         if report["missed_cycles"]:
             said.append(f"missed {report['missed_cycles']} cycles")
     return " | ".join(said)

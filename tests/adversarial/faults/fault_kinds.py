@@ -11,6 +11,7 @@ import numpy as np
 from fault_cell import Cell
 from fault_chunks import rows_of
 from fault_link import Delivery, Message
+from strangers import FALSE
 
 from skewmi.cli.stop import StopCommand, run_stop
 from skewmi.deploy.wire import topics
@@ -195,6 +196,36 @@ def intruder(cell: Cell) -> None:
             link.call(topics.YUMI_DESCRIBE, 5.0)  # so that it has arrived
 
     cell.spawn(intrude)
+
+
+def stranger(topic: topics.Topic) -> Inject:
+    """Somebody else publishes false messages on a topic, well-formed, until the run is over."""
+
+    def inject(cell: Cell) -> None:
+        def publish() -> None:
+            with Link.open(TransportConfig.for_client(cell.link.locator), "stranger") as link:
+                publisher = link.publisher(topic)
+                while not cell.over.is_set():
+                    publisher.put(FALSE[topic.name])
+                    time.sleep(0.002)
+
+        cell.spawn(publish)
+
+    return inject
+
+
+def copied(topic: topics.Topic) -> Inject:
+    """Somebody sends what the robot server sends once more, under its id."""
+
+    def inject(cell: Cell) -> None:
+        def on_state(t: topics.Topic, message: Message) -> Message:
+            if t is topic:
+                cell.link.to_session(t, message)
+            return message
+
+        cell.link.on_state = on_state
+
+    return inject
 
 
 def disarmed(cell: Cell) -> None:

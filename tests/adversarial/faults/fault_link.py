@@ -155,6 +155,10 @@ class FaultLink:
             heapq.heappush(self._queue, (due, next(self._order), message))
             self._wake.notify()
 
+    def to_session(self, topic: topics.Topic, message: Message) -> None:
+        """To the session, whatever the faults."""
+        self._put(self._to_session[topic.name], message)
+
     def said_by_robot(self) -> str:
         """Reasons and refusals that the robot server told since the first chunk, each once."""
         said = [

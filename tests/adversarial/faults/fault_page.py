@@ -48,6 +48,8 @@ NOTES = """\
 - Nothing depends on wall clocks: they only label messages.
 - A delay shorter than `--lead-ms` less 6 ms does nothing; these runs use 40 ms. On a busy computer
   a run may miss cycles without any fault; then the cell is run again.
+- Who publishes on the robot server's topics without being it is left out and named in the report;
+  [security.md](security.md) says what is noticed of somebody who copies its id, and what is not.
 - Chunks that come twice or overtaken end the run: no link that we know does this by itself.
 """
 

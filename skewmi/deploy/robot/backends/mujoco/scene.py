@@ -34,6 +34,10 @@ class MujocoScene:
         """Measured joints of the scene."""
         return self._simulation.scene_state()
 
+    def publishers(self) -> tuple[bytes, ...]:
+        """The robot server publishes its states itself."""
+        return ()
+
     def contact(self) -> Mapping[str, float]:
         """Largest forces on hand and arm, tilt and excess of the box since the last reset."""
         return self._simulation.contact.summary()

@@ -1,0 +1,210 @@
+"""Strangers on the topics of a running session: left out, named, and never a success."""
+
+from __future__ import annotations
+
+import json
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+import pytest
+from robot_servers import call, describe, robot_in_a_thread
+from scripted_runs import EnoughError, FewSteps, Scripted
+from strangers import FALSE, SESSION_SUCCESS, solved_scene, stranger, strangers_everywhere
+
+from skewmi.deploy.options import DeployOptions
+from skewmi.deploy.recording.reader import BELIEVED, STRANGERS, read_recording
+from skewmi.deploy.replay.live_options import LiveOptions
+from skewmi.deploy.replay.replay import write_replay
+from skewmi.deploy.report import DeployReport
+from skewmi.deploy.robot.description import RobotDescription
+from skewmi.deploy.run import run_deploy
+from skewmi.deploy.session.news import SessionNews
+from skewmi.deploy.wire import topics
+from skewmi.errors import ConfigurationError, TransportError
+from skewmi.policy_io import Array
+from skewmi.sim.tasks.open_press_close.definition import make_layout
+
+SEEN_BY_SESSION = (topics.YUMI_JOINT_STATES, topics.YUMI_SCENE_STATES, topics.YUMI_STATUS)
+
+
+class Idle:
+    """A policy that does not touch anything, for so many steps."""
+
+    def __init__(self, steps: int = 30) -> None:
+        self.layout = make_layout()
+        self._steps = steps
+
+    def reset(self) -> None:
+        self.observations: list[Array] = []
+
+    def act(self, observation: Array) -> Array:
+        self.observations.append(observation)
+        if len(self.observations) > self._steps:
+            raise EnoughError("enough")
+        return np.array([0.0, 0.0, 1.0])
+
+
+def named(report: DeployReport) -> set[tuple[str, str]]:
+    return {(s.topic, s.node) for s in report.strangers if not s.copied}
+
+
+@pytest.mark.parametrize("topic", SEEN_BY_SESSION, ids=lambda topic: topic.name)
+def test_stranger_changes_nothing_and_is_named(lock_step_robot: str, topic: topics.Topic) -> None:
+    words: list[str] = []
+    with stranger(lock_step_robot, topic, node="gripper_driver") as gid:
+        options = DeployOptions(connect=lock_step_robot, lock_step=True)
+        report = run_deploy(Scripted(), options, on_event=words.append)
+    assert report.successes == 1, report.as_dict()
+    (found,) = report.strangers
+    assert (found.topic, found.gid, found.node) == (topic.name, gid, "gripper_driver")
+    assert found.messages > 10
+    (warning,) = [word for word in words if word.startswith("warning: ")]
+    assert f"{topic.name}: {gid[:8]} (node gripper_driver)" in warning
+    assert json.loads(json.dumps(report.as_dict()))["strangers"][0]["gid"] == gid
+
+
+@pytest.mark.parametrize("lock_step", [True, False], ids=["lock-step", "real time"])
+def test_false_success_is_none(lock_step_robot: str, robot: str, lock_step: bool) -> None:
+    locator = lock_step_robot if lock_step else robot
+    policy = Idle()
+    with stranger(locator, topics.YUMI_SCENE_STATES, solved_scene(), rate=500.0):
+        report = run_deploy(policy, DeployOptions(connect=locator, lock_step=lock_step))
+    assert report.successes == 0
+    assert report.episodes[0].reason == "enough", report.as_dict()
+    button = make_layout().observation_names.index("button_depth")
+    assert max(float(o[button]) for o in policy.observations) < 1e-3
+    assert named(report) == {("/yumi/scene_states", "stranger")}
+
+
+@pytest.mark.parametrize("how", ["before", "ahead"])
+@pytest.mark.parametrize("topic", SEEN_BY_SESSION[:2], ids=lambda topic: topic.name)
+def test_stranger_with_a_copied_id_ends_the_run(
+    lock_step_robot: str, topic: topics.Topic, how: str
+) -> None:
+    with stranger(lock_step_robot, topic, copy=how, rate=2000.0):
+        options = DeployOptions(connect=lock_step_robot, lock_step=True)
+        report = run_deploy(Idle(300), options)
+    assert report.successes == 0
+    assert report.faulted, report.as_dict()
+    assert f"on {topic.name}: what the robot server sends cannot be told" in report.stops[0]
+    assert any(s.copied and s.topic == topic.name for s in report.strangers)
+    # It is gone now: the next run is as good as any.
+    assert run_deploy(Idle(3), options).episodes[0].reason == "enough"
+
+
+def test_strangers_are_in_the_sessions_status_and_not_in_the_recording(
+    lock_step_robot: str, tmp_path: Path
+) -> None:
+    path, shown = tmp_path / "run.mcap", tmp_path / "live.rrd"
+    options = DeployOptions(
+        connect=lock_step_robot,
+        lock_step=True,
+        record=path,
+        live=LiveOptions(out=shown),
+    )
+    with strangers_everywhere(lock_step_robot) as gids:
+        report = run_deploy(Idle(), options)
+    assert named(report) == {(topic, f"stranger_{n}") for n, topic in enumerate(FALSE)}
+    recording = read_recording(path)
+    believed = json.loads(recording.metadata[BELIEVED])
+    for topic, recorded in recording.messages.items():
+        assert {m.sender for m in recorded} <= set(believed[topic])
+        assert not {m.sender for m in recorded} & gids
+        assert FALSE[topic] not in {m.payload for m in recorded}
+    told = {s["gid"] for s in json.loads(recording.metadata[STRANGERS])}
+    assert told == gids
+    news = [SessionNews.decode(m.payload) for m in recording.messages["/yumi/status"]]
+    last = [item for item in news if item is not None][-1]
+    for topic in SEEN_BY_SESSION:
+        assert topic.name in last.strangers
+    replay = write_replay(path, tmp_path / "replay.rrd")
+    assert replay.success_s == ()
+    assert len([note for note in replay.notes if "not recorded" in note]) == len(FALSE)
+    assert replay.tracking_error_mm is not None
+    assert replay.tracking_error_mm < 20.0
+
+
+def test_status_of_a_stranger_neither_stops_nor_succeeds(lock_step_robot: str) -> None:
+    with stranger(lock_step_robot, topics.YUMI_STATUS, SESSION_SUCCESS):
+        report = run_deploy(Idle(), DeployOptions(connect=lock_step_robot, lock_step=True))
+    assert report.episodes[0].reason == "enough"
+
+
+def test_flood_costs_no_cycle(robot: str) -> None:
+    """As fast as one program sends, in messages of 100 kB of which nothing is decoded."""
+    with stranger(robot, topics.YUMI_SCENE_STATES, bytes(100_000), rate=500.0):
+        options = DeployOptions(connect=robot, lead_ms=60.0)
+        report = run_deploy(Idle(20), options)
+    assert report.episodes[0].reason == "enough", report.as_dict()
+    (found,) = report.strangers
+    assert found.messages > 100
+
+
+def test_camera_is_believed_when_it_is_named_and_only_then(lock_step_robot: str) -> None:
+    """Here a camera that sees the task solved: success is what the trusted source says."""
+    with stranger(lock_step_robot, topics.YUMI_SCENE_STATES, node="camera", rate=500.0) as gid:
+        for name in ("camera", "/camera", gid, gid[:10]):
+            options = DeployOptions(connect=lock_step_robot, lock_step=True, scene_from=name)
+            report = run_deploy(Idle(), options)
+            assert report.successes == 1, report.as_dict()
+            # The robot server's own scene is not looked at, and that is told.
+            assert named(report) == {("/yumi/scene_states", "skewmi_robot")}
+        wrong = DeployOptions(connect=lock_step_robot, lock_step=True, scene_from="lamp")
+        with pytest.raises(ConfigurationError, match=r"--scene-from lamp: nobody.*node camera"):
+            run_deploy(Idle(), wrong)
+        with stranger(lock_step_robot, topics.YUMI_SCENE_STATES, node="camera"):
+            two = DeployOptions(connect=lock_step_robot, lock_step=True, scene_from="camera")
+            with pytest.raises(ConfigurationError, match="more than one publisher"):
+                run_deploy(Idle(), two)
+
+
+def test_two_robot_servers_are_refused(lock_step_robot: str) -> None:
+    other = describe(lock_step_robot).to_json()
+    options = DeployOptions(connect=lock_step_robot, lock_step=True)
+    with (
+        stranger(lock_step_robot, topics.YUMI_STATUS, serve=other),
+        pytest.raises(TransportError, match="2 robot servers answer on this link"),
+    ):
+        run_deploy(Idle(), options)
+
+
+def test_second_server_during_a_run_is_not_listened_to(lock_step_robot: str) -> None:
+    """It says that the arm is in fault; the run ends as it would have."""
+    description = json.loads(describe(lock_step_robot).to_json())
+    false = json.dumps({**description, "state": "fault", "reason": "says a stranger"})
+    with ExitStack() as stack:
+
+        def come() -> None:
+            stack.enter_context(stranger(lock_step_robot, topics.YUMI_STATUS, serve=false))
+
+        options = DeployOptions(connect=lock_step_robot, lock_step=True)
+        report = run_deploy(FewSteps(5, come), options)
+    assert report.successes == 1, report.as_dict()
+    assert named(report) == {("/yumi/status", "stranger")}
+
+
+def test_server_that_names_nobody_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    with robot_in_a_thread(lock_step=True) as locator:
+        to_json = RobotDescription.to_json
+        monkeypatch.setattr(
+            RobotDescription,
+            "to_json",
+            lambda self: json.dumps({**json.loads(to_json(self)), "publishers": {}}),
+        )
+        with pytest.raises(TransportError, match="does not say who publishes"):
+            run_deploy(Idle(), DeployOptions(connect=locator, lock_step=True))
+
+
+def test_server_that_was_restarted_is_met_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its publishers have other ids: those of the description that answers the next run."""
+    with robot_in_a_thread(lock_step=True) as locator:
+        first = describe(locator).publishers
+        report = run_deploy(Idle(3), DeployOptions(connect=locator, lock_step=True))
+        assert report.strangers == []
+    with robot_in_a_thread(lock_step=True) as locator:
+        assert describe(locator).publishers != first
+        report = run_deploy(Idle(3), DeployOptions(connect=locator, lock_step=True, episodes=2))
+        assert [e.reason for e in report.episodes] == ["enough", "enough"]
+        assert report.strangers == []
+        assert call(locator, topics.YUMI_STOP)[0]
