@@ -1,9 +1,10 @@
 """A stranger on the link, in a process of its own: `python stranger_process.py JSON`.
 
-The JSON object: "locator"; "topic", by name; "payload", hexadecimal; "rate", messages a second, 0
-as fast as it goes; "node", its ROS 2 name, empty for a program that announces nothing; "copy": use the
-id of whoever publishes there, "before" with the next number, "ahead" with numbers far ahead;
-"serve": answer `/yumi/describe`, too, with this text. Ends with its standard input.
+The JSON object: "locator"; "topic", by name; "payload", hexadecimal, and "more_bytes" behind it;
+"rate", messages a second, 0 as fast as it goes; "node", its ROS 2 name, empty for a program that
+announces nothing; "copy": use the id of whoever publishes there, "before" with the next number,
+"ahead" with numbers far ahead; "serve": answer `/yumi/describe`, too, with this text. Ends with its
+standard input.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ def main() -> None:
     threading.Thread(target=lambda: (sys.stdin.read(), ended.set()), daemon=True).start()
     config = TransportConfig.for_client(order["locator"])
     topic = next(topic for topic in topics.TOPICS if topic.name == order["topic"])
-    payload = bytes.fromhex(order["payload"])
+    payload = bytes.fromhex(order["payload"]) + bytes(order["more_bytes"])
     if order["node"]:
         with Link.open(config, order["node"]) as link:
             if order["serve"]:

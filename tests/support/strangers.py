@@ -33,7 +33,7 @@ def joints(names: tuple[str, ...], *values: float, stamp_ns: int = LATER_NS) -> 
     return encode_joint_states(JointStates(stamp_ns, names, position, nothing, nothing))
 
 
-def solved_scene() -> bytes:
+def solved_scene(stamp_ns: int = LATER_NS) -> bytes:
     """Scene states in the middle of the reward region: lid shut, button pressed."""
     centres = {
         name: centre
@@ -41,7 +41,7 @@ def solved_scene() -> bytes:
         for name, centre in zip(ball.fields, ball.centre, strict=True)
     }
     values = centres["lid_angle"], centres["button_depth"]
-    return joints(("lid_hinge", "button_slide"), *values)
+    return joints(("lid_hinge", "button_slide"), *values, stamp_ns=stamp_ns)
 
 
 def robot_status(state: ServerState = ServerState.FAULT) -> bytes:
@@ -76,6 +76,7 @@ def stranger(
     topic: topics.Topic | str,
     payload: bytes | None = None,
     *,
+    more_bytes: int = 0,
     rate: float = 200.0,
     node: str = "stranger",
     copy: str = "",
@@ -87,6 +88,7 @@ def stranger(
         locator: Of the robot server.
         topic: Where.
         payload: What; by default what is in `FALSE`.
+        more_bytes: How many zeros follow it.
         rate: Messages a second; 0 as fast as it goes.
         node: Its name; empty for a program that announces nothing.
         copy: Use the id of whoever publishes there: "before" or "ahead" of its numbers.
@@ -97,6 +99,7 @@ def stranger(
         "locator": locator,
         "topic": name,
         "payload": (FALSE[name] if payload is None else payload).hex(),
+        "more_bytes": more_bytes,
         "rate": rate,
         "node": "" if copy else node,
         "copy": copy,
@@ -117,7 +120,7 @@ def stranger(
 
 
 @contextmanager
-def strangers_everywhere(locator: str, rate: float = 50.0) -> Iterator[set[str]]:
+def strangers_everywhere(locator: str, rate: float = 20.0) -> Iterator[set[str]]:
     """One on every topic, nodes stranger_0, stranger_1, ... in the order of `FALSE`; their ids."""
     with ExitStack() as stack:
         yield {
