@@ -1,6 +1,7 @@
 """A stranger on the link, in a process of its own: `python stranger_process.py JSON`.
 
 The JSON object: "locator"; "topic", by name; "payload", hexadecimal, and "more_bytes" behind it;
+"also", payloads of more topics by name;
 "rate", messages a second, 0 as fast as it goes; "node", its ROS 2 name, empty for a program that
 announces nothing; "copy": use the id of whoever publishes there, "before" with the next number,
 "ahead" with numbers far ahead; "serve": answer `/yumi/describe`, too, with this text. Ends with its
@@ -21,6 +22,7 @@ from skewmi.deploy.wire import messages, ros2_keys, topics
 from skewmi.deploy.wire.messages import TriggerReply
 from skewmi.deploy.wire.transport import Link, TransportConfig
 
+TOPICS = {topic.name: topic for topic in topics.TOPICS}
 AHEAD = 1_000_000
 GID = bytes(range(200, 216))
 
@@ -30,16 +32,18 @@ def main() -> None:
     ended = threading.Event()
     threading.Thread(target=lambda: (sys.stdin.read(), ended.set()), daemon=True).start()
     config = TransportConfig.for_client(order["locator"])
-    topic = next(topic for topic in topics.TOPICS if topic.name == order["topic"])
+    topic = TOPICS[order["topic"]]
     payload = bytes.fromhex(order["payload"]) + bytes(order["more_bytes"])
     if order["node"]:
         with Link.open(config, order["node"]) as link:
             if order["serve"]:
                 answer = TriggerReply(True, order["serve"])
                 link.service(topics.YUMI_DESCRIBE, lambda request: answer)
-            publisher = link.publisher(topic)
-            ready(publisher.gid)
-            pace(order["rate"], ended, lambda: publisher.put(payload))
+            says = [(link.publisher(topic), payload)]
+            for name, more in order["also"].items():
+                says.append((link.publisher(TOPICS[name]), bytes.fromhex(more)))
+            ready(*(publisher.gid for publisher, _ in says))
+            pace(order["rate"], ended, lambda: [p.put(said) for p, said in says])
         return
     with zenoh.open(config.zenoh()) as session:
         send = copier(session, topic, order["copy"]) if order["copy"] else plain(session, topic)
@@ -83,8 +87,9 @@ def copier(session: Any, topic: topics.Topic, how: str) -> Any:
     return send
 
 
-def ready(gid: bytes) -> None:
-    sys.stdout.write(gid.hex() + "\n")
+def ready(*gids: bytes) -> None:
+    """Tell the ids, in the order of the topics."""
+    sys.stdout.write(" ".join(gid.hex() for gid in gids) + "\n")
     sys.stdout.flush()
 
 

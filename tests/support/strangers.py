@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -81,8 +81,9 @@ def stranger(
     node: str = "stranger",
     copy: str = "",
     serve: str = "",
+    also: Iterable[str] = (),
 ) -> Iterator[str]:
-    """One that publishes until the block is left; yields its global id, hexadecimal.
+    """One that publishes until the block is left; yields its global ids, hexadecimal.
 
     Args:
         locator: Of the robot server.
@@ -93,6 +94,7 @@ def stranger(
         node: Its name; empty for a program that announces nothing.
         copy: Use the id of whoever publishes there: "before" or "ahead" of its numbers.
         serve: Answer `/yumi/describe` with this.
+        also: More topics, on which it sends what is in `FALSE`.
     """
     name = topic if isinstance(topic, str) else topic.name
     order = {
@@ -104,6 +106,7 @@ def stranger(
         "node": "" if copy else node,
         "copy": copy,
         "serve": serve,
+        "also": {other: FALSE[other].hex() for other in also},
     }
     child = subprocess.Popen(
         [sys.executable, str(PROGRAM), json.dumps(order)],
@@ -120,10 +123,8 @@ def stranger(
 
 
 @contextmanager
-def strangers_everywhere(locator: str, rate: float = 20.0) -> Iterator[set[str]]:
-    """One on every topic, nodes stranger_0, stranger_1, ... in the order of `FALSE`; their ids."""
-    with ExitStack() as stack:
-        yield {
-            stack.enter_context(stranger(locator, topic, node=f"stranger_{n}", rate=rate))
-            for n, topic in enumerate(FALSE)
-        }
+def strangers_everywhere(locator: str, rate: float = 20.0) -> Iterator[dict[str, str]]:
+    """A stranger that sends what is in `FALSE` on every topic; its ids by topic."""
+    first, *others = FALSE
+    with stranger(locator, first, rate=rate, also=others) as ids:
+        yield dict(zip(FALSE, ids.split(), strict=True))

@@ -114,17 +114,17 @@ def test_strangers_are_in_the_sessions_status_and_not_in_the_recording(
         record=path,
         live=LiveOptions(out=shown),
     )
-    with strangers_everywhere(lock_step_robot) as gids:
+    with strangers_everywhere(lock_step_robot) as ids:
         report = run_deploy(Idle(10), options)
-    assert named(report) == {(topic, f"stranger_{n}") for n, topic in enumerate(FALSE)}
+    assert {s.topic: s.gid for s in report.strangers} == ids
     recording = read_recording(path)
     believed = json.loads(recording.metadata[BELIEVED])
     for topic, recorded in recording.messages.items():
         assert {m.sender for m in recorded} <= set(believed[topic])
-        assert not {m.sender for m in recorded} & gids
+        assert not {m.sender for m in recorded} & set(ids.values())
         assert FALSE[topic] not in {m.payload for m in recorded}
     told = {s["gid"] for s in json.loads(recording.metadata[STRANGERS])}
-    assert told == gids
+    assert told == set(ids.values())
     news = [SessionNews.decode(m.payload) for m in recording.messages["/yumi/status"]]
     last = [item for item in news if item is not None][-1]
     for topic in SEEN_BY_SESSION:
