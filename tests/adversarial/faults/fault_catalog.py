@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-from dataclasses import dataclass
 
 from fault_cell import (
     AS_ASKED,
@@ -13,7 +12,6 @@ from fault_cell import (
     RESTS_GOES_ON,
     STOPPED,
     Fault,
-    Observed,
     Phase,
 )
 from fault_chunks import (
@@ -32,7 +30,6 @@ from fault_kinds import (
     Inject,
     changed,
     clock_jump,
-    copied,
     cut_short,
     cut_short_late,
     delayed,
@@ -49,65 +46,14 @@ from fault_kinds import (
     restarted,
     sent_late,
     silent,
-    stranger,
     wrong_state,
 )
+from fault_row import ASKED, PATIENT_MS, DoesNotApply, Expect, Row
+from fault_strangers import STRANGERS
 
-from skewmi.deploy.wire.topics import (
-    YUMI_JOINT_STATES,
-    YUMI_SCENE_STATES,
-    YUMI_STATUS,
-    Topic,
-)
+from skewmi.deploy.wire.topics import YUMI_JOINT_STATES, YUMI_SCENE_STATES
 
-
-@dataclass(frozen=True)
-class Expect:
-    """What must be observed."""
-
-    verdict: str
-    says: str = ""
-    """Words that report or status must contain."""
-
-    def matches(self, observed: Observed) -> bool:
-        """Whether it is what was observed."""
-        return observed.verdict == self.verdict and self.says in observed.said
-
-    def text(self) -> str:
-        return f"**{self.verdict}**" + (f": {self.says}" if self.says else "")
-
-
-@dataclass(frozen=True)
-class DoesNotApply:
-    """Why a fault cannot happen in a phase."""
-
-    why: str
-
-    def text(self) -> str:
-        return f"– ({self.why})"
-
-
-@dataclass(frozen=True)
-class Row:
-    """A fault, the expectations, and how a user goes on."""
-
-    fault: Fault
-    start: Expect | DoesNotApply
-    running: Expect | DoesNotApply
-    stopping: Expect | DoesNotApply
-    hardest: Phase = Phase.RUNNING
-    """Where the fast tests try it."""
-    go_on: str = "run again"
-
-    def cell(self, phase: Phase) -> Expect | DoesNotApply:
-        cells = {Phase.START: self.start, Phase.RUNNING: self.running}
-        return cells.get(phase, self.stopping)
-
-
-ASKED = Expect(AS_ASKED, "disarmed by its commander")
 REFUSED = Expect(AS_ASKED, "arm it first")
-PATIENT_MS = 100.0
-"""Lead of runs that shall go on without a pause on a busy machine, too."""
 NOT_PLANNED = DoesNotApply("nothing is planned then")
 AFTER_LEASE = "run again 2 s after the last command; at once after `skewmi stop`"
 
@@ -138,19 +84,6 @@ def _clock_row(name: str, offset_s: int) -> Row:
     return Row(fault, Expect(GOES_ON), Expect(GOES_ON), ASKED)
 
 
-def _stranger_row(what: str, topic: Topic) -> Row:
-    inject = stranger(topic)
-    named = Expect(GOES_ON, f"not believed: {topic.name} stranger")
-    fault = Fault(what, inject, inject, lead_ms=PATIENT_MS)
-    return Row(fault, named, named, ASKED, go_on="nothing to do")
-
-
-def _copied_row(what: str, topic: Topic) -> Row:
-    inject = copied(topic)
-    twice = Expect(FAULT, f"on {topic.name}: what the robot server sends cannot be told from")
-    return Row(Fault(what, inject, inject), twice, twice, twice)
-
-
 STALE_JOINTS = Expect(STOPPED, "no new joint state for")
 STALE_SCENE = Expect(STOPPED, "the scene state is")
 NOT_FINITE = Expect(FAULT, "joint states hold positions that are not finite")
@@ -174,13 +107,7 @@ GROUPS: dict[str, tuple[Row, ...]] = {
         _state_row("scene states stop coming", silent(YUMI_SCENE_STATES), STALE_SCENE),
         _state_row("the same scene state again and again", frozen(YUMI_SCENE_STATES), STALE_SCENE),
     ),
-    "Strangers on the robot server's topics": (
-        _stranger_row("somebody else's joint states", YUMI_JOINT_STATES),
-        _stranger_row("somebody else's scene: lid shut, button pressed", YUMI_SCENE_STATES),
-        _stranger_row("somebody else's status: in fault", YUMI_STATUS),
-        _copied_row("joint states also from somebody with the same id", YUMI_JOINT_STATES),
-        _copied_row("scene states also from somebody with the same id", YUMI_SCENE_STATES),
-    ),
+    "Strangers on the robot server's topics": STRANGERS,
     "Chunks on their way": (
         _stream_row("1 chunk lost", lost(1), SPLICE, SPLICE),
         _stream_row("5 chunks lost", lost(5), SPLICE, SPLICE),
