@@ -98,6 +98,7 @@ class Preflight:
             SkewmiError: The arm may not move; the message says why.
         """
         check_interrupt(self._stop)
+        self._robot.meet()
         self._robot.wait_until_ready(self._stop)
         # Armed first: a scene that somebody else works in must not be reset.
         self._robot.arm()

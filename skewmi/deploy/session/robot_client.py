@@ -79,6 +79,14 @@ class RobotClient:
     def _gids(self) -> bytes:
         return self._commands.gid + self._gripper.gid
 
+    def meet(self) -> None:
+        """Find the robot server anew: it may be another one than in the last episode.
+
+        Raises:
+            TransportError: There is none, or more than one.
+        """
+        self._trust.meet()
+
     def describe(self, *, with_scene: bool = False) -> RobotDescription:
         """What the robot server is and does now.
 
@@ -89,7 +97,9 @@ class RobotClient:
             TransportError: It does not answer, or not in our words.
         """
         extra = SCENE_REQUEST if with_scene else b""
-        return RobotDescription.from_json(self._call(topics.YUMI_DESCRIBE, extra).message)
+        description = RobotDescription.from_json(self._call(topics.YUMI_DESCRIBE, extra).message)
+        self._trust.hear(description)
+        return description
 
     def reset_scene(self, seed: int) -> None:
         """Put a simulated scene and its arm back to the start of an episode."""
@@ -125,10 +135,7 @@ class RobotClient:
 
         Raises:
             CommandRefusedError: Somebody else is, or the robot server is in fault.
-            TransportError: There is no robot server, or more than one.
         """
-        # It may be another one than in the last episode.
-        self._trust.meet()
         if not self._dry_run:
             self._call(topics.YUMI_ARM, self._gids)
             self._armed = True

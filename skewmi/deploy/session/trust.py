@@ -2,7 +2,8 @@
 
 Before each episode everybody who serves `/yumi/describe` is asked. There must be one; its answer
 names the publishers of joint states, scene states and status. From then on only that server's
-answers count, and only messages of those publishers. A robot server that was restarted has other
+answers count, and only messages of those publishers; each later description of its own may name
+others, such as an emulated controller that has come. A robot server that was restarted has other
 ids, and is met anew before the next episode.
 """
 
@@ -36,6 +37,7 @@ class Trust:
         self._link = link
         self._own = {topic: tuple(gids) for topic, gids in own.items()}
         self._scene_from = scene_from
+        self._scene_gid: bytes | None = None
         self.senders = Senders(link.graph.node_of)
         for topic, gids in self._own.items():
             for gid in gids:
@@ -68,18 +70,28 @@ class Trust:
                 "domains of their own (--domain)"
             )
         description = RobotDescription.from_json(answers[0].message)
-        publishers = gids_of(description.publishers)
         if self._scene_from is not None:
-            publishers[topics.YUMI_SCENE_STATES.name] = (self._scene_source(self._scene_from),)
+            self._scene_gid = self._scene_source(self._scene_from)
+        self.hear(description)
+        self.server = answers[0].replier
+        return description
+
+    def hear(self, description: RobotDescription) -> None:
+        """Believe whom a description of the robot server names.
+
+        Raises:
+            TransportError: It does not say who publishes.
+        """
+        publishers = gids_of(description.publishers)
+        if self._scene_gid is not None:
+            publishers[topics.YUMI_SCENE_STATES.name] = (self._scene_gid,)
         missing = [topic.name for topic in _OF_SERVER if topic.name not in publishers]
         if missing:
             raise TransportError(
                 f"the robot server does not say who publishes {', '.join(missing)}; is it of "
                 "another version of skewmi?"
             )
-        self.server = answers[0].replier
         self._believe({topic.name: publishers[topic.name] for topic in _OF_SERVER})
-        return description
 
     @property
     def believed(self) -> dict[str, list[str]]:
@@ -103,8 +115,8 @@ class Trust:
             raise TransportError(copied)
 
     def _believe(self, publishers: dict[str, tuple[bytes, ...]]) -> None:
-        self.senders.believe(publishers)
         if publishers != self._believed:
+            self.senders.believe(publishers)
             self._believed = publishers
             for told in self.on_believed:
                 told(self.believed)

@@ -228,5 +228,10 @@ def make(options: BackendOptions) -> RobotBackend:
             "a real robot is as it is; give --variation to the egm-emulator, or leave it out"
         )
     egm = EgmOptions() if options.egm is None else options.egm
-    scene = None if options.facts is None else EgmScene.open(options.facts, options.link)
+    # Real controllers do not live on this computer. Beside one nobody is asked to be an emulator:
+    # anybody on the link could say that he is, and would be believed what he says of the scene.
+    emulated = parse_address(egm.listen)[0].startswith("127.")
+    scene = (
+        EgmScene.open(options.facts, options.link if emulated else None) if options.facts else None
+    )
     return EgmBackend(egm, options.gripper, scene)

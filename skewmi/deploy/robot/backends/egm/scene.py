@@ -15,6 +15,7 @@ import numpy as np
 from skewmi.deploy.robot.backend import SceneState
 from skewmi.deploy.robot.backends.egm.options import TaskFacts
 from skewmi.deploy.wire.messages import decode_status
+from skewmi.deploy.wire.senders import parse_gid
 from skewmi.deploy.wire.topics import DIAGNOSTIC_ARRAY, TRIGGER, Topic
 from skewmi.deploy.wire.topics import Service as ServiceName
 from skewmi.deploy.wire.transport import LatestReader, Link
@@ -41,7 +42,8 @@ class EgmScene:
 
     Args:
         facts: Of the task.
-        link: An open session, to find an emulator on; None if there is none to be found.
+        link: An open session, to find an emulator on; None if there is none to be found, as before
+            a real controller, where somebody else might say that he is one.
         status: What is told of whom on that link.
     """
 
@@ -76,11 +78,10 @@ class EgmScene:
         self._hear()
         return time.monotonic() - self._heard_s < _HEARD_S
 
-    @property
-    def publisher(self) -> bytes | None:
-        """Global id of whoever publishes this scene's states: the emulator's publisher, as it says
-        itself; None without an emulator, when anybody with a camera may."""
-        return self._publisher if self.resettable else None
+    def publishers(self) -> tuple[bytes, ...]:
+        """Global id of the emulator's publisher, as it says itself; empty without an emulator, when
+        the user has to name whoever sees the scene."""
+        return (self._publisher,) if self.resettable and self._publisher is not None else ()
 
     def state(self) -> SceneState | None:
         """Somebody else publishes them."""
@@ -125,7 +126,7 @@ class EgmScene:
                 continue
             try:
                 values = dict(decode_status(sample.payload).values)
-                publisher = bytes.fromhex(values.pop(SCENE_PUBLISHER))
+                publisher = parse_gid(values.pop(SCENE_PUBLISHER))
                 contact = {key: float(value) for key, value in values.items()}
             except (TransportError, ValueError, KeyError):
                 continue
