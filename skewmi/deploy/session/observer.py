@@ -23,8 +23,9 @@ CROWD = 1_000
 """Unread messages that are kept of everybody, so that a stranger's do not displace the robot
 server's: in the longest wait between two looks, 18 ms, somebody may send 55,000 a second."""
 
-_FIRST_STATES = 5
-"""Joint states that may come before the first scene state."""
+_FIRST_STATES = 10
+"""Joint states that may come before the first scene state, which may be another program's: 0.2 s,
+as old as scene states may be."""
 
 _POLL_S = 250e-6
 _EARLY_S = 0.002

@@ -96,8 +96,7 @@ class RobotClient:
         Raises:
             TransportError: It does not answer, or not in our words.
         """
-        extra = SCENE_REQUEST if with_scene else b""
-        description = RobotDescription.from_json(self._call(topics.YUMI_DESCRIBE, extra).message)
+        description = self._ask(SCENE_REQUEST if with_scene else b"")
         self._trust.hear(description)
         return description
 
@@ -197,7 +196,7 @@ class RobotClient:
             TransportError: It does not come to rest, or is in fault.
         """
         deadline = time.monotonic() + REST_TIMEOUT_S
-        while (description := self.describe()).state != ServerState.HOLDING.value:
+        while (description := self._ask()).state != ServerState.HOLDING.value:
             if description.state == ServerState.FAULT.value:
                 raise TransportError(f"the robot server is in fault: {description.reason}")
             if description.state != ServerState.EXECUTING.value:
@@ -226,7 +225,7 @@ class RobotClient:
         deadline = time.monotonic() + REST_TIMEOUT_S
         # Refused if somebody else commands by now: then ours has come to rest before.
         self._link.call(topics.YUMI_DISARM, CALL_TIMEOUT_S, self._gids, only=self._trust.server)
-        while (description := self.describe()).state == ServerState.STOPPING.value:
+        while (description := self._ask()).state == ServerState.STOPPING.value:
             if time.monotonic() > deadline:
                 raise TransportError(f"the arm does not rest within {REST_TIMEOUT_S:g} s")
             time.sleep(0.005)
@@ -263,6 +262,10 @@ class RobotClient:
         before = self._refused
         self._refused = status.refused_of_commander
         return self._refused > before
+
+    def _ask(self, extra: bytes = b"") -> RobotDescription:
+        """A description, while the arm is ours: whom to believe stays."""
+        return RobotDescription.from_json(self._call(topics.YUMI_DESCRIBE, extra).message)
 
     def _call(self, service: topics.Service, request: bytes = b"") -> TriggerReply:
         reply = self._link.call(service, CALL_TIMEOUT_S, request, only=self._trust.server)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rerun.chunk import RrdReader
 from robot_servers import call, describe, robot_in_a_thread
 from scripted_runs import EnoughError, Scripted
 from strangers import FALSE, SESSION_SUCCESS, solved_scene, stranger, strangers_everywhere
@@ -45,6 +46,15 @@ class Idle:
             self._at_the_end()
             raise EnoughError("enough")
         return np.array([0.0, 0.0, 1.0])
+
+
+def rows(path: Path) -> dict[str, int]:
+    """Number of samples that a view holds, by entity."""
+    counts: dict[str, int] = {}
+    for chunk in RrdReader(path).stream().to_chunks():
+        entity = str(chunk.entity_path)
+        counts[entity] = counts.get(entity, 0) + chunk.num_rows
+    return counts
 
 
 def named(report: DeployReport) -> set[tuple[str, str]]:
@@ -129,6 +139,8 @@ def test_strangers_are_in_the_sessions_status_and_not_in_the_recording(
     last = [item for item in news if item is not None][-1]
     for topic in SEEN_BY_SESSION:
         assert topic.name in last.strangers
+    assert rows(shown)["/policy/action/fields"] == 10
+    assert "/policy/observation_in_range/success" not in rows(shown)
     replay = write_replay(path, tmp_path / "replay.rrd")
     assert replay.success_s == ()
     assert len([note for note in replay.notes if "not recorded" in note]) == len(FALSE)

@@ -5,7 +5,10 @@ from __future__ import annotations
 import random
 
 import pytest
+import zenoh
 
+from skewmi.deploy.wire import ros2_keys
+from skewmi.deploy.wire.channels import LatestReader
 from skewmi.deploy.wire.senders import (
     MAX_BELIEVED,
     MAX_STRANGERS,
@@ -134,3 +137,37 @@ def test_ids_are_read_as_ros_2_tools_print_them() -> None:
     assert (
         parse_gid("01.0f" + ".00" * 14) == parse_gid("010f" + "00" * 14) == b"\x01\x0f" + bytes(14)
     )
+
+
+class Untouchable:
+    """A message whose payload must not be looked at."""
+
+    def __init__(self, attachment: bytes) -> None:
+        self.attachment = zenoh.ZBytes(attachment)
+
+    @property
+    def payload(self) -> zenoh.ZBytes:
+        raise AssertionError("the payload of a stranger was looked at")
+
+
+class Handler:
+    """An endless channel of one message; counts how often it is asked."""
+
+    def __init__(self, message: Untouchable) -> None:
+        self._message, self.asked = message, 0
+
+    def try_recv(self) -> Untouchable:
+        self.asked += 1
+        return self._message
+
+
+def test_nothing_of_a_stranger_is_read_and_a_look_ends_whatever_comes() -> None:
+    senders = Senders(nobody)
+    senders.believe({SCENE: [gid(1)]})
+    for attachment in (ros2_keys.encode_attachment(1, 0, gid(2)), b"", bytes(33), bytes(10**6)):
+        handler = Handler(Untouchable(attachment))
+        reader = LatestReader(handler, YUMI_SCENE_STATES, 1000, senders.on(YUMI_SCENE_STATES))
+        assert reader.drain() == []
+        assert handler.asked == 1000
+    assert senders.strangers()[0].messages == 1000
+    assert gid(2).hex()[:8] in reader.others()
