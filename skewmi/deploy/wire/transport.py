@@ -31,7 +31,7 @@ from typing import Any, Self
 
 import zenoh
 
-from skewmi.deploy.wire import messages, ros2_keys, tls_diagnosis, zenoh_file
+from skewmi.deploy.wire import messages, ros2_keys, runtime, tls_diagnosis, zenoh_file
 from skewmi.deploy.wire.calls import Caller
 from skewmi.deploy.wire.channels import Handler, LatestReader, Publisher, Sample, Service
 from skewmi.deploy.wire.liveliness import Graph
@@ -91,13 +91,17 @@ class Link:
 
         Raises:
             ConfigurationError: The Zenoh configuration file is missing or wrong.
-            TransportError: The port is taken, or nobody answers within `connect_timeout_s`.
+            TransportError: The port is taken, nobody answers within `connect_timeout_s`, or the
+                user's `ZENOH_RUNTIME` is nonsense.
         """
         zenoh_config = config.zenoh()
         try:
             session = zenoh.open(zenoh_config)
         except zenoh.ZError as error:
             raise _explain(error, config, zenoh_config) from error
+        except BaseException as error:
+            runtime.explain(error)
+            raise
         node = ros2_keys.Node(config.domain, str(session.zid()), node_name)
         node_token = session.liveliness().declare_token(ros2_keys.node_token(node))
         return Link(session, config, node, node_token, Graph.watch(session, config.domain))

@@ -17,9 +17,9 @@ DEFAULT_LOCATOR = "tcp/127.0.0.1:7447"
 MAX_MESSAGE_BYTES = 256 * 1024
 """Longest message that a robot server takes in; the longest chunk has some 110 kB."""
 
-_REPLY_WAIT_US = 10_000
+_REPLY_WAIT_US = 2_000
 """How long a reply in real time waits for room in the caller's queue before its session is
-closed, us; two and a half ticks of the robot server's loop."""
+closed, us; half a tick of the robot server's loop."""
 
 
 @dataclass(frozen=True)
@@ -89,8 +89,10 @@ class TransportConfig:
             # Zenoh allows a gigabyte, which one message could make the robot server put together.
             defaults["transport/link/rx/max_message_size"] = MAX_MESSAGE_BYTES
         if listens and not self.lock_step:
-            block = "transport/link/tx/queue/congestion_control/block"
-            defaults[f"{block}/wait_before_close"] = _REPLY_WAIT_US
+            congestion = "transport/link/tx/queue/congestion_control"
+            defaults[f"{congestion}/block/wait_before_close"] = _REPLY_WAIT_US
+            # Zenoh waits 1 ms for each peer that has fallen asleep, in the loop that publishes.
+            defaults[f"{congestion}/drop/wait_before_drop"] = 0
         config = zenoh_file.load(self.zenoh_config, defaults)
         if self.connect or (self.listen and self.zenoh_config is None):
             config.insert_json5("connect/endpoints", json.dumps(self.connect))
