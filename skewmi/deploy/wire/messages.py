@@ -20,12 +20,15 @@ from rosbags.serde.errors import SerdeError
 from skewmi.deploy.wire import chunk_codec, ros2_types
 from skewmi.deploy.wire.topics import DIAGNOSTIC_ARRAY, JOINT_STATE, JOINT_TRAJECTORY
 from skewmi.errors import TransportError
-from skewmi.trajectory import Array, JointTrajectory, TrajectoryChunk
+from skewmi.trajectory import Array, TrajectoryChunk
 
 _Message = TypeVar("_Message")
 
 OK, WARN, ERROR = 0, 1, 2
 """Levels of a `Status`, as in diagnostic_msgs/DiagnosticStatus."""
+
+MAX_IRREGULAR_POINTS = 500
+"""Points that a trajectory may have unless all are of one form: it is read one by one."""
 
 HARDWARE_ID = "yumi"
 _CDR_HEADER = b"\x00\x01\x00\x00"
@@ -89,35 +92,16 @@ def decode_chunk(payload: bytes) -> TrajectoryChunk:
     """Inverse of `encode_chunk`; the values may still be NaN, which `deploy.safety` refuses.
 
     Raises:
-        TransportError: Not a JointTrajectory, or one whose points have not all positions,
-            velocities and accelerations for every joint.
+        TransportError: Not a JointTrajectory, one whose points have not all positions,
+            velocities and accelerations for every joint, or one that would take long to read.
     """
     decoded = chunk_codec.decode(payload)
     if decoded is not None:
         return decoded
-    message = _guarded(
-        payload, JOINT_TRAJECTORY, lambda: ros2_types.decode(payload, JOINT_TRAJECTORY)
-    )
-    names, points = tuple(message.joint_names), message.points
-    count = len(names)
-    for index, point in enumerate(points):
-        lengths = (len(point.positions), len(point.velocities), len(point.accelerations))
-        if lengths != (count, count, count):
-            raise TransportError(
-                f"trajectory point {index} has {lengths} positions, velocities, accelerations; "
-                f"each must be {count}, one per joint"
-            )
-    times = [p.time_from_start.sec * _NS_PER_S + p.time_from_start.nanosec for p in points]
-    fields = ("positions", "velocities", "accelerations")
-    samples = (
-        np.array([getattr(p, field) for p in points], dtype=np.float64).reshape(len(points), count)
-        for field in fields
-    )
-    return TrajectoryChunk(
-        stamp_ns=_stamp_ns(message.header.stamp),
-        joint_names=names,
-        time_from_start_ns=np.array(times, dtype=np.int64),
-        trajectory=JointTrajectory(*samples),
+    return _guarded(
+        payload,
+        JOINT_TRAJECTORY,
+        lambda: chunk_codec.decode_pointwise(payload, MAX_IRREGULAR_POINTS),
     )
 
 
@@ -261,7 +245,7 @@ def _guarded(payload: bytes, type_name: str, decode: Callable[[], _Message]) -> 
         return decode()
     except MALFORMED as error:
         raise TransportError(
-            f"malformed {type_name} of {len(payload)} bytes: {error or type(error).__name__}"
+            f"malformed {type_name} of {len(payload)} bytes: {str(error) or type(error).__name__}"
         ) from error
 
 

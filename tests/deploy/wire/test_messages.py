@@ -6,12 +6,13 @@ import contextlib
 import struct
 from dataclasses import replace
 
+import flood_senders
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skewmi.deploy.wire import messages, ros2_types, topics
+from skewmi.deploy.wire import chunk_codec, messages, ros2_types, topics
 from skewmi.deploy.wire.messages import JointStates, Status, TriggerReply
 from skewmi.errors import TransportError
 from skewmi.trajectory import JointTrajectory, TrajectoryChunk
@@ -89,6 +90,60 @@ def test_chunk_from_another_node_with_effort_and_frame_is_read():
     message.points[1].effort = np.ones(7)
     payload = ros2_types.encode(message, topics.JOINT_TRAJECTORY)
     np.testing.assert_array_equal(messages.decode_chunk(payload).trajectory.v, chunk.trajectory.v)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    efforts=st.lists(st.integers(0, 9), max_size=12),
+    joints=st.integers(1, 7),
+    frame=st.text(st.characters(min_codepoint=32, max_codepoint=126), max_size=9),
+    cut=st.integers(0, 400),
+)
+def test_points_of_different_forms_are_read_as_by_rosbags(efforts, joints, frame, cut):
+    chunk = make_chunk(len(efforts), tuple(NAMES[:joints]))
+    message = ros2_types.decode(rosbags_bytes(chunk), topics.JOINT_TRAJECTORY)
+    message.header.frame_id = frame
+    for point, effort in zip(message.points, efforts, strict=True):
+        point.effort = np.ones(effort)
+    payload = ros2_types.encode(message, topics.JOINT_TRAJECTORY)
+    decoded = chunk_codec.decode_pointwise(payload, 12)
+    assert decoded.joint_names == chunk.joint_names
+    np.testing.assert_array_equal(decoded.time_from_start_ns, chunk.time_from_start_ns)
+    for name in "qva":
+        np.testing.assert_array_equal(
+            getattr(decoded.trajectory, name), getattr(chunk.trajectory, name)
+        )
+    short = payload[: max(0, len(payload) - 1 - cut)]
+    with pytest.raises(messages.MALFORMED):
+        chunk_codec.decode_pointwise(short, 12)
+    with pytest.raises(messages.MALFORMED):
+        chunk_codec.decode_pointwise(payload + bytes(4), 12)
+
+
+@pytest.mark.parametrize(
+    ("payload", "words"),
+    [
+        (flood_senders.many_points(), "points of different forms; at most 500 are read"),
+        (flood_senders.many_names(), "no names that can be read, of at most 64 joints"),
+        (flood_senders.odd_points(501), "501 points of different forms; at most 500 are read"),
+    ],
+)
+def test_what_would_take_long_to_read_is_refused_unread(monkeypatch, payload, words):
+    monkeypatch.setattr(ros2_types, "decode", None)
+    with pytest.raises(TransportError, match=words):
+        messages.decode_chunk(payload)
+
+
+def test_the_longest_trajectory_of_odd_points_is_read():
+    payload = flood_senders.odd_points(500)
+    assert messages.decode_chunk(payload).trajectory.q.shape == (500, 7)
+
+
+def test_a_refusal_of_nonsense_says_what_is_wrong():
+    """Some of what rosbags raises has no words."""
+    with pytest.raises(TransportError) as raised:
+        messages.decode_joint_states(b"")
+    assert not str(raised.value).rstrip().endswith(":")
 
 
 def test_big_endian_chunk_is_read_right_or_refused():
