@@ -13,12 +13,10 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from logging.handlers import QueueHandler, QueueListener
 from pathlib import Path
-from queue import SimpleQueue
 
 from rich.console import Console
 
@@ -30,6 +28,7 @@ from skewmi.deploy.robot.backends import BackendOptions
 from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.robot.egm_emulator.controller_states import ArmState
 from skewmi.deploy.robot.egm_emulator.emulator import Emulator
+from skewmi.deploy.robot.log import told_from_a_thread
 from skewmi.deploy.robot.process import EMULATOR
 from skewmi.deploy.robot.run import serve_robot
 from skewmi.deploy.state_machine import Transition
@@ -109,7 +108,7 @@ def run_robot(options: RobotCommand) -> int:
                 highlight=False,
             )
 
-    with _log_told(console):
+    with told_from_a_thread(_teller(console)):
         serve_robot(
             options.backend,
             _backend_options(options),
@@ -150,7 +149,7 @@ def _run_emulator(options: RobotCommand, stop: threading.Event, console: Console
     def tell(side: str, transition: Transition[ArmState]) -> None:
         _log.info("%s arm: %s", side, transition)
 
-    with _log_told(console), Emulator.open(emulated, config, tell) as emulator:
+    with told_from_a_thread(_teller(console)), Emulator.open(emulated, config, tell) as emulator:
         left = emulated.remote_left
         if options.json:
             ready = {"backend": EMULATOR, "remote": emulated.remote, "remote_left": left}
@@ -167,31 +166,12 @@ def _run_emulator(options: RobotCommand, stop: threading.Event, console: Console
     return 0
 
 
-@contextmanager
-def _log_told(console: Console) -> Iterator[None]:
-    """Tell what the robot server logs, each transition above all, while the block runs.
+def _teller(console: Console) -> Callable[[str], None]:
+    def tell(line: str) -> None:
+        with suppress(OSError):  # The terminal may be gone; the robot goes on.
+            console.print(line, highlight=False, markup=False)
 
-    From a thread of its own: the robot server's loop must not wait for a terminal or a pipe.
-    """
-
-    class Teller(logging.Handler):
-        def emit(self, record: logging.LogRecord) -> None:
-            with suppress(OSError):  # The terminal may be gone; the robot goes on.
-                console.print(self.format(record), highlight=False, markup=False)
-
-    records: SimpleQueue[logging.LogRecord] = SimpleQueue()
-    logger, handler = logging.getLogger("skewmi"), QueueHandler(records)
-    listener = QueueListener(records, Teller())
-    before = logger.level
-    logger.setLevel(logging.INFO)
-    logger.addHandler(handler)
-    listener.start()
-    try:
-        yield
-    finally:
-        logger.removeHandler(handler)
-        logger.setLevel(before)
-        listener.stop()
+    return tell
 
 
 def _wait_for_end_of_input(stop: threading.Event) -> None:

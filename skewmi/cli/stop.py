@@ -1,6 +1,7 @@
 """Bring the arm smoothly to rest and disarm it. Anybody may; it needs no arming.
 
-In fault it acknowledges the fault once the arm rests.
+In fault it acknowledges the fault once the arm rests. The robot server is asked by datagrams first,
+where it takes them, as these reach it however busy its link is; docs/security.md says where.
 """
 
 from __future__ import annotations
@@ -13,11 +14,16 @@ from pathlib import Path
 
 from skewmi.cli import numbers
 from skewmi.deploy.robot.description import RobotDescription
-from skewmi.deploy.wire import topics
+from skewmi.deploy.wire import stop_path, topics
 from skewmi.deploy.wire.domain import ros_domain
+from skewmi.deploy.wire.stop_path import StopAnswer
 from skewmi.deploy.wire.transport import Link, TransportConfig
 
 MAX_TIMEOUT_S = 3600.0
+
+_DATAGRAMS_S = 0.5
+"""How long datagrams are tried before the link."""
+_OVER = ("disarmed", "fault")
 
 
 @dataclass(frozen=True)
@@ -43,20 +49,40 @@ def run_stop(options: StopCommand) -> int:
     config = TransportConfig.for_client(
         options.connect, domain=ros_domain(options.domain), zenoh_config=options.zenoh_config
     )
+    deadline = time.monotonic() + options.timeout_s
+    answer = _stop_by_datagrams(config, deadline)
+    if answer is None or answer.state == "fault":
+        # Datagrams tell nobody's name, and acknowledge no fault.
+        answer = _stop_by_link(config, options.timeout_s, deadline)
+    if options.json:
+        print(json.dumps({"state": answer.state, "reason": answer.reason}))
+    else:
+        print(f"{answer.state}: {answer.reason}")
+    return 0 if answer.state == "disarmed" else 1
+
+
+def _stop_by_datagrams(config: TransportConfig, deadline: float) -> StopAnswer | None:
+    """Stop, and wait for rest; what the robot server said last, None if it says nothing."""
+    answer = stop_path.ask(config, stop=True, timeout_s=_DATAGRAMS_S)
+    while answer is not None and answer.state not in _OVER and time.monotonic() < deadline:
+        time.sleep(0.02)
+        told = stop_path.ask(config, stop=False, timeout_s=_DATAGRAMS_S)
+        if told is None:
+            break
+        answer = told
+    return answer
+
+
+def _stop_by_link(config: TransportConfig, timeout_s: float, deadline: float) -> StopAnswer:
+    """The same by the link; a fault is acknowledged."""
     with Link.open(config, f"skewmi_stop_{os.getpid()}") as link:
-        deadline = time.monotonic() + options.timeout_s
-        link.call(topics.YUMI_STOP, options.timeout_s, b"skewmi stop")
+        link.call(topics.YUMI_STOP, timeout_s, b"skewmi stop")
         while True:
-            answer = link.call(topics.YUMI_DESCRIBE, options.timeout_s)
+            answer = link.call(topics.YUMI_DESCRIBE, timeout_s)
             description = RobotDescription.from_json(answer.message)
             if description.state == "disarmed" or time.monotonic() > deadline:
-                break
+                return StopAnswer(description.state, description.reason)
             time.sleep(0.02)
             if description.state == "fault":
                 # It is acknowledged once the arm rests, not before.
-                link.call(topics.YUMI_STOP, options.timeout_s, b"skewmi stop")
-    if options.json:
-        print(json.dumps({"state": description.state, "reason": description.reason}))
-    else:
-        print(f"{description.state}: {description.reason}")
-    return 0 if description.state == "disarmed" else 1
+                link.call(topics.YUMI_STOP, timeout_s, b"skewmi stop")

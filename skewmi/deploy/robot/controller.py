@@ -149,9 +149,9 @@ class RobotController:
         self.check_lease(now_ns)
         try:
             # Decoding comes last, and only for who may command at all: it may take long.
-            check_size(payload)
             self.check_accepting()
             self.lease.check(gid, sequence)
+            check_size(len(payload))
             self._accept(decode_chunk(payload), gid, sequence, now_ns)
         except (CommandRefusedError, TransportError) as error:
             out_of_step = isinstance(error, BrokenStreamError)

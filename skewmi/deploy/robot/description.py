@@ -44,6 +44,8 @@ class RobotDescription:
     limits: Mapping[str, tuple[float, ...]]
     """The bounds of the limit profile per joint, so that both sides can compare them; and the
     flange's speed, m/s, if the robot admits less of it than `safety.limits` does."""
+    stop_paths: tuple[str, ...] = ()
+    """Where the arm can be stopped by datagrams, such as udp/127.0.0.1:7447; see `stop_path`."""
     contact: Mapping[str, float] = field(default_factory=dict)
     """Largest of `skewmi.contact.QUANTITIES` since the scene's last reset; empty if unknown."""
     resettable: bool = False
@@ -86,8 +88,8 @@ class RobotDescription:
         """
         try:
             content: dict[str, Any] = json.loads(text)
-            for name in ("joint_names", "layout_hashes"):
-                content[name] = tuple(content[name])
+            for name in ("joint_names", "layout_hashes", "stop_paths"):
+                content[name] = tuple(content.get(name, ()))
             content["commanded_position"] = tuple(map(float, content["commanded_position"]))
             content["stops"] = int(content["stops"])
             content["contact"] = {k: float(v) for k, v in content["contact"].items()}

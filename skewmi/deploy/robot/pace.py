@@ -15,6 +15,10 @@ a rush would make every chunk late that was planned in the meantime."""
 
 _REPEAT_NS = 50_000_000
 _IDLE_SLEEP_S = 30e-6
+_IDLE_NS = 5_000_000
+"""Who has waited for so long waits more calmly: on a busy computer, looking again and again takes
+the time from the one that is waited for."""
+_CALM_SLEEP_S = 500e-6
 
 
 class Beat(Enum):
@@ -93,7 +97,7 @@ class LockStepPace:
         if now_ns - self._told_ns >= _REPEAT_NS:
             self._told_ns = now_ns
             return Beat.AGAIN
-        time.sleep(_IDLE_SLEEP_S)
+        time.sleep(_IDLE_SLEEP_S if now_ns - self._told_ns < _IDLE_NS else _CALM_SLEEP_S)
         return Beat.NONE
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from skewmi.deploy.robot.backend import RobotBackend, RobotState
 from skewmi.deploy.robot.controller import RobotController
@@ -16,7 +16,9 @@ from skewmi.deploy.wire.transport import Link
 from skewmi.trajectory import CYCLE_NS
 
 _STATUS_PERIOD_NS = 500_000_000
-_REFUSALS_PERIOD_NS = 50_000_000
+_OTHERS_PERIOD_NS = 50_000_000
+"""Refusals of others than the commander are told no more often: a flood of them shall not become
+a flood of statuses."""
 _SHOWN_REFUSALS = 3
 
 
@@ -36,12 +38,12 @@ class StatePublisher:
         self._scene_states = link.publisher(topics.YUMI_SCENE_STATES)
         self._status = link.publisher(topics.YUMI_STATUS)
         self._next_ns = self._stamp_ns = -1
-        self._next_status_ns = 0
+        self._told_ns = -_STATUS_PERIOD_NS
         self._refused_told = 0
-        self._refused_of_commander_told = 0
-        self._told_ns = 0
         self._told: Mapping[str, str] = {}
         self._next_told_ns = 0
+        self.dropped: Callable[[], int] = lambda: 0
+        """How many commands were not judged, for want of time."""
 
     def publishers(self) -> dict[str, tuple[str, ...]]:
         """Whom to believe, for the description: see `RobotDescription.publishers`."""
@@ -80,14 +82,10 @@ class StatePublisher:
         """Publish the status if it is time for it: at once if the commander was refused something,
         soon if anybody else was, who may try by the hundred."""
         now_ns, refusals = time.monotonic_ns(), self._controller.refusals
-        due_ns = self._next_status_ns
-        if refusals.of_commander != self._refused_of_commander_told:
-            due_ns = now_ns
-        elif refusals.count != self._refused_told:
-            due_ns = min(due_ns, self._told_ns + _REFUSALS_PERIOD_NS)
-        if now_ns < due_ns:
+        refused = refusals.count != self._refused_told
+        wait_ns = _OTHERS_PERIOD_NS if refused else _STATUS_PERIOD_NS
+        if not refusals.commander_untold and now_ns < self._told_ns + wait_ns:
             return
-        self._next_status_ns = now_ns + _STATUS_PERIOD_NS
         self.tell(self._controller.clock_ns)
 
     def tell(self, stamp_ns: int, transition: Transition[ServerState] | None = None) -> None:
@@ -95,9 +93,9 @@ class StatePublisher:
         controller = self._controller
         self._told_ns = time.monotonic_ns()
         self._refused_told = controller.refusals.count
-        self._refused_of_commander_told = controller.refusals.of_commander
         # The commander's own come first: they are what it has to answer for.
         refusals = sorted(controller.refusals.take(), key=lambda r: not r.of_commander)
+        noted = controller.refusals
         status = RobotStatus(
             stamp_ns=stamp_ns,
             state=controller.state,
@@ -107,10 +105,13 @@ class StatePublisher:
             refusal="; ".join(refusal.reason for refusal in refusals[:_SHOWN_REFUSALS]),
             refused_stamps_ns=tuple(refusal.stamp_ns for refusal in refusals),
             out_of_step=all(r.out_of_step for r in refusals if r.of_commander),
-            refused_of_commander=controller.refusals.of_commander,
+            refused_of_commander=noted.of_commander,
+            broken_of_commander=noted.broken_of_commander,
+            last_refusal=noted.last_of_commander,
             commander=controller.lease.holder or b"",
             slips=self._backend.slips,
             told=self._told_by_robot(transition is not None),
+            dropped=self.dropped(),
             source=None if transition is None else transition.source,
             event=None if transition is None else ServerEvent(transition.event),
         )

@@ -7,8 +7,13 @@ from typing import NamedTuple
 NOTED_REFUSALS = 32
 """Reasons of others than the commander that are kept for the next status; all are counted."""
 
+NOTED_OF_COMMANDER = 256
+"""The same for the commander's, which come first."""
+
 _LONGEST_REASON = 300
 """Characters; reasons hold what strangers have sent."""
+
+_NO_WORDS = "for a reason that cannot be printed"
 
 
 def printable(text: str) -> str:
@@ -37,16 +42,35 @@ class Refusals:
         """Since the server started."""
         self.of_commander = 0
         """Of those, the present commander's, since it armed."""
+        self.broken_of_commander = 0
+        """Of these, the ones that were not just out of step."""
+        self.last_of_commander = ""
+        """Reason of the newest of these; of one that was not just out of step, if there is one."""
+        self.commander_untold = False
+        """Whether one of the commander's has not been told yet."""
         self._untold: list[Refusal] = []
+
+    def begin(self) -> None:
+        """A commander has armed: what was refused before is none of its business."""
+        self.of_commander = self.broken_of_commander = 0
+        self.last_of_commander = ""
 
     def note(self, refusal: Refusal) -> None:
         """Count a refusal."""
         self.count += 1
-        self.of_commander += refusal.of_commander
-        if refusal.of_commander or len(self._untold) < NOTED_REFUSALS:
-            self._untold.append(refusal._replace(reason=printable(refusal.reason)))
+        kept = NOTED_OF_COMMANDER if refusal.of_commander else NOTED_REFUSALS
+        if refusal.of_commander or len(self._untold) < kept:
+            refusal = refusal._replace(reason=printable(refusal.reason) or _NO_WORDS)
+        if refusal.of_commander:
+            self.of_commander += 1
+            self.commander_untold = True
+            if not refusal.out_of_step or not self.broken_of_commander:
+                self.last_of_commander = refusal.reason
+            self.broken_of_commander += not refusal.out_of_step
+        if len(self._untold) < kept:
+            self._untold.append(refusal)
 
     def take(self) -> list[Refusal]:
         """What has been refused since the last call."""
-        taken, self._untold = self._untold, []
+        taken, self._untold, self.commander_untold = self._untold, [], False
         return taken

@@ -6,7 +6,7 @@ from skewmi.deploy.robot.backend import RobotBackend
 from skewmi.deploy.robot.controller import RobotController
 from skewmi.deploy.robot.refusals import printable
 from skewmi.deploy.robot.states import ACCEPTS_COMMANDS, ServerEvent, ServerState
-from skewmi.deploy.safety.validation import check_fresh
+from skewmi.deploy.safety.validation import MAX_GRIPPER_BYTES, check_fresh, check_size
 from skewmi.deploy.wire.messages import JointStates
 from skewmi.errors import CommandRefusedError
 from skewmi.robot_models import yumi
@@ -40,6 +40,11 @@ class RobotRequests:
                 is not ready.
         """
         controller, lease = self._controller, self._controller.lease
+        if len(gids) not in (0, 16, 32):
+            raise CommandRefusedError(
+                f"arming names one or two publishers of 16 bytes each, or none; got {len(gids)} "
+                "bytes"
+            )
         controller.check_lease(now_ns)
         if controller.state in (ServerState.STOPPING, ServerState.FAULT):
             raise CommandRefusedError(
@@ -48,7 +53,7 @@ class RobotRequests:
             )
         gid, gripper = gids[:16], gids[16:32]
         if controller.state in ACCEPTS_COMMANDS and gid and gid == lease.holder:
-            controller.refusals.of_commander = 0
+            controller.refusals.begin()
             lease.gripper_holder = gripper or lease.gripper_holder
             lease.extend(now_ns)
             return
@@ -58,7 +63,7 @@ class RobotRequests:
         lease.open(now_ns)
         if controller.state is ServerState.DISARMED:
             self._activate()
-        controller.refusals.of_commander = 0
+        controller.refusals.begin()
         lease.holder, lease.gripper_holder = gid or None, gripper or None
         # The arm may have sagged or been pushed while disarmed: hold where it is commanded.
         controller.fire(ServerEvent.ARM, f"armed by {gid.hex()[:8] or 'a service call'}")
@@ -84,6 +89,16 @@ class RobotRequests:
                 # The arm may be far from its command: hold it there, do not jerk it back.
                 controller.reseed(controller.arm_motion.measured)
         controller.end(ServerEvent.STOP, f"stop asked for by {printable(who)}")
+
+    def brake(self, who: str) -> None:
+        """As `stop`, but a fault stays: for who cannot be told apart from anybody else.
+
+        Args:
+            who: As in `stop`.
+        """
+        self.stops += 1
+        if self._controller.state is not ServerState.FAULT:
+            self._controller.end(ServerEvent.STOP, f"stop asked for by {printable(who)}")
 
     def disarm(self, gids: bytes) -> None:
         """The commander gives the arm back: brake along the accepted plan's tail, then disarm.
@@ -131,6 +146,21 @@ class RobotRequests:
                 "first trajectory, or once it has disarmed"
             )
         controller.reseed(scene.reset(seed))
+
+    def check_gripper(self, size: int, gid: bytes, sequence: int) -> None:
+        """What can be said of a gripper command without reading it.
+
+        Args:
+            size: Of the message, bytes.
+            gid: Who published it.
+            sequence: Its number, counted by the publisher.
+
+        Raises:
+            CommandRefusedError: Not armed, another commander, an old one, or too long.
+        """
+        self._controller.check_accepting()
+        self._controller.lease.check_gripper(gid, sequence)
+        check_size(size, MAX_GRIPPER_BYTES)
 
     def follow_gripper(self, command: JointStates, gid: bytes, sequence: int | None = None) -> None:
         """`open_gripper` for a command as it was received.

@@ -57,4 +57,6 @@ def serve_robot(
             lease_ns=LOCK_STEP_LEASE_NS if backend.lock_step else LEASE_NS,
             start_ns=fresh_start_ns(),
         )
-        RobotServer(backend, controller, link, limits).run(stop, on_ready)
+        server = RobotServer(backend, controller, link, limits)
+        server.open_stop_path(config)
+        server.run(stop, on_ready)

@@ -7,11 +7,9 @@ waits for anybody on the link.
 from __future__ import annotations
 
 import gc
-import json
 import logging
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
@@ -24,26 +22,34 @@ from skewmi.deploy.robot.description import (
     RobotDescription,
     limit_values,
 )
+from skewmi.deploy.robot.intake import (
+    MAX_REQUEST_BYTES,
+    QUEUE,
+    CommandIntake,
+    ServiceRounds,
+)
 from skewmi.deploy.robot.publisher import StatePublisher
-from skewmi.deploy.robot.refusals import Refusal
+from skewmi.deploy.robot.refusals import printable
 from skewmi.deploy.robot.requests import RobotRequests
 from skewmi.deploy.robot.states import ServerState
 from skewmi.deploy.safety.limits import TCP_SPEED_LIMIT
-from skewmi.deploy.safety.validation import check_size
 from skewmi.deploy.state_machine import Transition
 from skewmi.deploy.wire import topics
-from skewmi.deploy.wire.channels import Request, Sample
-from skewmi.deploy.wire.messages import TriggerReply, decode_joint_states
-from skewmi.deploy.wire.transport import Link
-from skewmi.errors import CommandRefusedError, TransportError
+from skewmi.deploy.wire.channels import Handler, Request, Service
+from skewmi.deploy.wire.messages import TriggerReply
+from skewmi.deploy.wire.stop_path import StopAnswer, StopListener
+from skewmi.deploy.wire.transport import Link, TransportConfig
+from skewmi.errors import CommandRefusedError
 from skewmi.robot_models import yumi
 from skewmi.robot_models.limits import JointLimits
 from skewmi.trajectory import CYCLE_NS, GRID_NS
 
 _log = logging.getLogger(__name__)
 
-COMMANDS_NS = 1_500_000
-"""Time that commands may take between two cycles; the rest waits for the next, oldest first."""
+_SEED_DIGITS = 18
+
+_COLLECT_NS = 1_000_000_000
+"""Garbage is collected no more often: arming and stopping without end must not cause it."""
 
 
 class RobotServer:
@@ -69,19 +75,36 @@ class RobotServer:
         self._requests = RobotRequests(backend, controller)
         self._publisher = StatePublisher(backend, controller, link)
         controller.machine.on_transition = self._on_transition
-        self._commands = link.subscribe(topics.YUMI_TRAJECTORY, depth=None)
-        self._gripper = link.subscribe(topics.YUMI_GRIPPER, depth=None)
-        self._unread: deque[Sample] = deque()
-        self._services = [
-            link.service(topics.YUMI_DESCRIBE, self._describe, polled=True),
-            link.service(topics.YUMI_ARM, self._arm, polled=True),
-            link.service(topics.YUMI_DISARM, self._disarm, polled=True),
-            link.service(topics.YUMI_STOP, self._stop, polled=True),
-        ]
+        chunks = link.subscribe(topics.YUMI_TRAJECTORY, depth=QUEUE)
+        gripper = link.subscribe(topics.YUMI_GRIPPER, depth=QUEUE)
+        self._intake = CommandIntake(controller, self._requests, chunks, gripper)
+        self._publisher.dropped = lambda: self._intake.dropped
+        self._collected_ns = 0
+        self._stop_path: StopListener | None = None
+        handlers = {
+            topics.YUMI_ARM: self._arm,
+            topics.YUMI_DISARM: self._disarm,
+            topics.YUMI_DESCRIBE: self._describe,
+        }
         if backend.scene is not None:
-            self._services.append(
-                link.service(topics.YUMI_SCENE_RESET, self._reset_scene, polled=True)
-            )
+            handlers[topics.YUMI_SCENE_RESET] = self._reset_scene
+
+        def serve(name: topics.Service, handler: Handler) -> Service:
+            service = link.service(name, handler, polled=True)
+            service.longest = MAX_REQUEST_BYTES
+            return service
+
+        self._services = ServiceRounds(
+            [serve(topics.YUMI_STOP, self._stop)], [serve(*item) for item in handlers.items()]
+        )
+
+    def open_stop_path(self, config: TransportConfig) -> None:
+        """Let the arm be stopped by datagrams, too, where the locators of the link allow it.
+
+        Args:
+            config: Of the link.
+        """
+        self._stop_path = StopListener.open(config, self._requests.brake, self._stop_answer)
 
     def run(
         self, stop: threading.Event, on_ready: Callable[[RobotDescription], None] | None = None
@@ -108,6 +131,8 @@ class RobotServer:
                     self._cycle()
         finally:
             self._backend.close()
+            if self._stop_path is not None:
+                self._stop_path.close()
 
     def _cycle(self) -> None:
         state = self._read()
@@ -137,31 +162,19 @@ class RobotServer:
 
     def _serve(self) -> None:
         """Take what came. Commands first: a stop should not overtake them."""
-        if not self._unread:
-            self._unread.extend(self._commands.drain())
-        until_ns = time.monotonic_ns() + COMMANDS_NS
-        while self._unread and (now_ns := time.monotonic_ns()) < until_ns:
-            sample = self._unread.popleft()
-            self._controller.receive(sample.payload, sample.gid, sample.sequence, now_ns)
-        for sample in self._gripper.drain():
-            self._follow_gripper(sample)
-        for service in self._services:
-            service.poll()
-
-    def _follow_gripper(self, sample: Sample) -> None:
-        try:
-            check_size(sample.payload)
-            command = decode_joint_states(sample.payload)
-            self._requests.follow_gripper(command, sample.gid, sample.sequence)
-        except (CommandRefusedError, TransportError) as error:
-            ours = sample.gid == self._controller.lease.gripper_holder
-            self._controller.refusals.note(Refusal(f"gripper: {error}", of_commander=ours))
+        self._intake.serve()
+        if self._stop_path is not None:
+            self._stop_path.poll()
+        self._services.serve()
 
     def _on_transition(self, transition: Transition[ServerState]) -> None:
         _log.info("%s", transition)
         self._publisher.tell(transition.stamp_ns, transition)
-        if transition.target is ServerState.DISARMED and not self._backend.lock_step:
+        if transition.target is not ServerState.DISARMED or self._backend.lock_step:
+            return
+        if (now_ns := time.monotonic_ns()) > self._collected_ns + _COLLECT_NS:
             # The only moment at which nobody minds: inside the loop nothing is collected.
+            self._collected_ns = now_ns
             gc.collect()
 
     def describe(self, *, with_scene: bool = False) -> RobotDescription:
@@ -192,6 +205,7 @@ class RobotServer:
             commanded_position=controller.arm_motion.commanded_position(),
             stops=self._requests.stops,
             limits=limit_values(limits) | _flange_speed(backend),
+            stop_paths=() if self._stop_path is None else self._stop_path.where,
             contact={} if scene is None else scene.contact(),
             scene=scene.shapes_json if with_scene and scene is not None else "",
             publishers=self._publisher.publishers(),
@@ -214,13 +228,18 @@ class RobotServer:
         self._requests.stop(who)
         return TriggerReply(True, self._controller.state.value)
 
+    def _stop_answer(self) -> StopAnswer:
+        machine = self._controller.machine
+        return StopAnswer(machine.state.value, machine.reason)
+
     def _reset_scene(self, request: Request) -> TriggerReply:
-        try:
-            seed = int(json.loads(request.extra or b"0"))
-        except (ValueError, TypeError) as error:
+        text = request.extra.decode("ascii", errors="replace") or "0"
+        if not (text.isdecimal() and len(text) <= _SEED_DIGITS):
             raise CommandRefusedError(
-                f"the seed of a scene reset is not a number: {error}"
-            ) from error
+                f"the seed of a scene reset is a whole number of at most {_SEED_DIGITS} digits, "
+                f"not negative; got {printable(text)!r}"
+            )
+        seed = int(text)
         self._requests.reset_scene(seed)
         return TriggerReply(True, "scene reset")
 

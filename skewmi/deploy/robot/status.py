@@ -24,6 +24,7 @@ _COMMON = frozenset(
     {
         *("state", "reason", "accepted", "refused", "refusal", "refused_stamps_ns"),
         *("out_of_step", "refused_of_commander", "commander", "slips", "from", "event"),
+        *("broken_of_commander", "last_refusal", "dropped"),
     }
 )
 """Keys that every robot server tells."""
@@ -54,12 +55,20 @@ class RobotStatus:
     otherwise."""
     refused_of_commander: int = 0
     """Commands of the present commander, since it armed."""
+    broken_of_commander: int = 0
+    """Of these, the ones that were wrong, and not just too late or after a lost one."""
+    last_refusal: str = ""
+    """Reason of the newest of these, or of those if there is none: a status that was lost may have
+    had it."""
     commander: bytes = b""
     """Global id of the commander's publisher of chunks; empty without one."""
     slips: int = 0
     """How often cycles were left out because the server came too late."""
     told: Mapping[str, str] = field(default_factory=dict)
     """What this kind of robot says beyond that."""
+    dropped: int = 0
+    """Commands that were not looked at, since it started: more came than there was time for, or
+    they did not tell who sent them."""
     source: ServerState | None = None
     """The state before, if a change of state is told."""
     event: ServerEvent | None = None
@@ -84,6 +93,9 @@ class RobotStatus:
             "refused_of_commander": str(self.refused_of_commander),
             "commander": self.commander.hex(),
             "slips": str(self.slips),
+            "broken_of_commander": str(self.broken_of_commander),
+            "last_refusal": self.last_refusal,
+            "dropped": str(self.dropped),
         }
         values = {**self.told, **values}
         if self.source is not None and self.event is not None:
@@ -116,6 +128,9 @@ class RobotStatus:
                 commander=bytes.fromhex(values["commander"]),
                 slips=int(values["slips"]),
                 told={key: text for key, text in values.items() if key not in _COMMON},
+                broken_of_commander=int(values.get("broken_of_commander", 0)),
+                last_refusal=values.get("last_refusal", ""),
+                dropped=int(values.get("dropped", 0)),
                 source=ServerState(values["from"]) if "from" in values else None,
                 event=ServerEvent(values["event"]) if "event" in values else None,
             )

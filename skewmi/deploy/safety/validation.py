@@ -28,7 +28,10 @@ MAX_COMMAND_AGE_NS = 2_000_000_000
 """How far a gripper command's stamp may be from now: what a busy computer may need at worst."""
 
 MAX_CHUNK_BYTES = 128 * 1024
-"""Longest command that is decoded: 500 points of seven joints take 100 kB."""
+"""Longest chunk that is decoded: 500 points of seven joints take 100 kB."""
+
+MAX_GRIPPER_BYTES = 1024
+"""Longest gripper command that is decoded: one opening takes some 80 bytes."""
 
 LimitCheck = Callable[[JointTrajectory, JointPoint, Array], object]
 """(samples, plan at the chunk's stamp, its positions before that) -> raises LimitViolationError."""
@@ -97,16 +100,18 @@ class ChunkValidator:
             raise CommandRefusedError(str(error)) from error
 
 
-def check_size(payload: bytes) -> None:
+def check_size(size: int, most: int = MAX_CHUNK_BYTES) -> None:
     """Bounds the work that one message can cause before anything of it is known to be right.
+
+    Args:
+        size: Of the message, bytes.
+        most: That are read.
 
     Raises:
         CommandRefusedError: How long the message is.
     """
-    if len(payload) > MAX_CHUNK_BYTES:
-        raise CommandRefusedError(
-            f"the command has {len(payload)} bytes; at most {MAX_CHUNK_BYTES} are read"
-        )
+    if size > most:
+        raise CommandRefusedError(f"the command has {size} bytes; at most {most} are read")
 
 
 def check_structure(chunk: TrajectoryChunk, rules: ValidationRules) -> None:

@@ -25,19 +25,39 @@ _MOST_AT_ONCE = 8
 """Requests that one `Service.poll` answers: whoever asks without end must not keep it there."""
 
 
-@dataclass(frozen=True)
 class Sample:
-    """A received message."""
+    """A received message. Its payload is copied out of the link when it is first asked for.
 
-    payload: bytes
-    sequence: int
-    """The publisher's count, from 1; a gap means lost messages."""
-    source_time_ns: int
-    """Publisher's wall clock when it sent, ns since 1970."""
-    gid: bytes
-    """The publisher's global id, 16 bytes."""
-    received_ns: int
-    """`time.monotonic_ns` when it was taken out of the channel."""
+    Args:
+        payload: Bytes, or Zenoh's.
+        sequence: The publisher's count, from 1; a gap means lost messages.
+        source_time_ns: Publisher's wall clock when it sent, ns since 1970.
+        gid: The publisher's global id, 16 bytes.
+        received_ns: `time.monotonic_ns` when it was taken out of the channel.
+    """
+
+    __slots__ = ("_payload", "gid", "received_ns", "sequence", "source_time_ns")
+
+    def __init__(
+        self, payload: Any, sequence: int, source_time_ns: int, gid: bytes, received_ns: int
+    ) -> None:
+        self._payload = payload
+        self.sequence = sequence
+        self.source_time_ns = source_time_ns
+        self.gid = gid
+        self.received_ns = received_ns
+
+    @property
+    def size(self) -> int:
+        """Length of the payload, bytes; costs nothing."""
+        return len(self._payload)
+
+    @property
+    def payload(self) -> bytes:
+        if not isinstance(self._payload, bytes):
+            self._payload = self._payload.to_bytes()
+        payload: bytes = self._payload
+        return payload
 
 
 @dataclass(frozen=True)
@@ -95,6 +115,8 @@ class LatestReader:
         self._most = most
         self._senders = senders
         self._latest: Sample | None = None
+        self.strays = 0
+        """Messages that were left out because they do not tell who sent them."""
 
     def latest(self) -> Sample | None:
         """Newest sample ever received, new or not; None if there was none."""
@@ -106,19 +128,32 @@ class LatestReader:
         samples = self.drain()
         return samples[-1] if samples else None
 
-    def drain(self) -> list[Sample]:
+    def drain(self, most: int | None = None) -> list[Sample]:
         """All unread samples, oldest first.
 
         Those without a proper attachment are left out, and those of senders that are not believed.
+
+        Args:
+            most: Messages that are taken at most, those left out included; None for as many as
+                the reader was made for. A loop that must keep its time names a number: senders may
+                be faster than it.
         """
         samples: list[Sample] = []
-        for _ in range(self._most):
+        for _ in range(self._most if most is None else most):
             received = self._handler.try_recv()
             if received is None:
                 break
-            sample = _sample(received, self._senders)
-            if sample is not None:
-                samples.append(sample)
+            attachment = _attachment(received)
+            if attachment is None:
+                self.strays += 1
+                continue
+            sequence, source_time_ns, gid = attachment
+            if self._senders is not None and not self._senders.admit(gid, sequence):
+                continue
+            now_ns = time.monotonic_ns()
+            samples.append(
+                Sample(received.payload, sequence, source_time_ns, gid, received_ns=now_ns)
+            )
         if samples:
             self._latest = samples[-1]
         return samples
@@ -142,23 +177,37 @@ class LatestReader:
 
 
 class Service:
-    """The serving end of a service."""
+    """The serving end of a service.
+
+    Args:
+        handler: Answers a request.
+        queries: Where requests wait.
+    """
 
     def __init__(self, handler: Handler, queries: Any) -> None:
         self._handler = handler
         self._queries = queries
+        self.longest: int | None = None
+        """Bytes that a request may have; a longer one is refused unread. None for any."""
 
     def start(self) -> None:
         """Answer requests at once, in a thread of their own; else `poll` answers them."""
         # Not a Zenoh callback: their threads keep the interpreter from exiting.
         threading.Thread(target=self._serve, name="skewmi-service", daemon=True).start()
 
-    def poll(self) -> int:
-        """Answer waiting requests in the calling thread, the next eight at most; how many."""
+    def poll(self, until_ns: int | None = None) -> int:
+        """Answer waiting requests in the calling thread, the next eight at most; how many.
+
+        Args:
+            until_ns: After this time (`time.monotonic_ns`) no further one is begun, but one is
+                answered whatever the time; None for no such end.
+        """
         answered = 0
         while answered < _MOST_AT_ONCE and (query := self._queries.try_recv()) is not None:
             self._answer(query)
             answered += 1
+            if until_ns is not None and time.monotonic_ns() > until_ns:
+                break
         return answered
 
     def _serve(self) -> None:
@@ -170,20 +219,22 @@ class Service:
 
     def _answer(self, query: Any) -> None:
         """Answer one Zenoh query. Nothing escapes: a failure becomes an unsuccessful reply."""
-        attachment = query.attachment.to_bytes() if query.attachment is not None else b""
+        sequence, _, client = _attachment(query) or (0, 0, bytes(16))
         try:
-            sequence, _, client = ros2_keys.decode_attachment(attachment)
-        except TransportError:
-            sequence, client = 0, bytes(16)
-        try:
-            payload = query.payload.to_bytes() if query.payload is not None else b""
+            size = 0 if query.payload is None else len(query.payload)
+            if self.longest is not None and size > self.longest:
+                raise TransportError(
+                    f"the request has {size} bytes; at most {self.longest} are read"
+                )
+            payload = query.payload.to_bytes() if size else b""
             extra = messages.decode_trigger_request(payload)
             reply = self._handler(Request(extra, client))
         except SkewmiError as error:
-            reply = messages.TriggerReply(False, str(error))
+            reply = messages.TriggerReply(False, str(error) or type(error).__name__)
         except Exception as error:
-            # A bug in a handler must not leave the caller waiting.
-            _log.exception("service handler failed")
+            # A bug in a handler must not leave the caller waiting. One line: a traceback would be
+            # put together, and the sources be read for it, by a loop that has no time.
+            _log.error("a service's handler failed: %r in %s", error, _place(error))
             reply = messages.TriggerReply(False, f"internal error: {error!r}")
         # A reply repeats the request's sequence and client: that is how rmw matches them.
         query.reply(
@@ -195,16 +246,20 @@ class Service:
         query.drop()
 
 
-def _sample(received: Any, senders: TopicSenders | None) -> Sample | None:
+def _attachment(received: Any) -> tuple[int, int, bytes] | None:
+    """Sequence, wall clock and gid of a sample's or request's sender; None if it does not tell."""
     attachment = received.attachment
-    # Its length before its bytes: a long one is not worth copying.
-    if attachment is None or len(attachment) > ros2_keys.ATTACHMENT_BYTES:
+    if attachment is None or len(attachment) != ros2_keys.ATTACHMENT_BYTES:
         return None
     try:
-        sequence, source_time_ns, gid = ros2_keys.decode_attachment(attachment.to_bytes())
+        return ros2_keys.decode_attachment(attachment.to_bytes())
     except TransportError:
         return None
-    if senders is not None and not senders.admit(gid, sequence):
-        return None
-    payload = received.payload.to_bytes()
-    return Sample(payload, sequence, source_time_ns, gid, received_ns=time.monotonic_ns())
+
+
+def _place(error: Exception) -> str:
+    """File and line where an error was raised."""
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    return "?" if trace is None else f"{trace.tb_frame.f_code.co_filename}:{trace.tb_lineno}"

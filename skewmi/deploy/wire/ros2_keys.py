@@ -25,6 +25,8 @@ QOS_BEST_EFFORT_1 = "2::,1:,:,:,,"
 _ATTACHMENT = struct.Struct("<qqB16s")
 ATTACHMENT_BYTES = _ATTACHMENT.size
 _GID_BYTES = 16
+ATTACHMENT_BYTES = _ATTACHMENT.size
+"""Length of what goes with every sample, request and reply."""
 
 
 class EntityKind(StrEnum):

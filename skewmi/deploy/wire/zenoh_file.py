@@ -110,6 +110,14 @@ def is_unprotected(locator: str, config: Any) -> bool:
         return True
 
 
+def asks_who(config: Any) -> bool:
+    """Whether a configuration lets people do different things, or nobody in without a secret."""
+    access = json.loads(config.get_json("access_control/enabled"))
+    names = ("usrpwd/user", "usrpwd/dictionary_file", "pubkey/public_key_file")
+    secrets = (json.loads(config.get_json(f"transport/auth/{name}")) for name in names)
+    return bool(access) or any(secret is not None for secret in secrets)
+
+
 def _asks_for_certificates(own: str, config: Any) -> bool:
     """Whether a TLS listener demands the client's certificate; by itself TLS does not.
 

@@ -22,15 +22,15 @@ CHANGES = st.one_of(
 @settings(deadline=None)
 @given(
     state=st.sampled_from(ServerState),
-    counts=st.tuples(COUNTS, COUNTS, COUNTS, COUNTS),
-    texts=st.tuples(TEXTS, TEXTS),
+    counts=st.tuples(COUNTS, COUNTS, COUNTS, COUNTS, COUNTS, COUNTS),
+    texts=st.tuples(TEXTS, TEXTS, TEXTS),
     stamps=st.lists(st.none() | st.integers(-1, 2**62), max_size=5),
     late=st.booleans(),
     commander=st.just(b"") | st.binary(min_size=16, max_size=16),
     change=CHANGES,
 )
 def test_what_is_encoded_is_decoded(state, counts, texts, stamps, late, commander, change) -> None:
-    accepted, refused, of_commander, slips = counts
+    accepted, refused, of_commander, slips, broken, dropped = counts
     status = RobotStatus(
         stamp_ns=123_456_789_000,
         state=state,
@@ -43,6 +43,9 @@ def test_what_is_encoded_is_decoded(state, counts, texts, stamps, late, commande
         refused_of_commander=of_commander,
         commander=commander,
         slips=slips,
+        broken_of_commander=broken,
+        last_refusal=texts[2],
+        dropped=dropped,
         source=change[0],
         event=change[1],
     )
@@ -64,6 +67,9 @@ def test_keys_and_level_on_the_wire_are_what_others_read() -> None:
         "refused_of_commander": "0",
         "commander": "",
         "slips": "0",
+        "broken_of_commander": "0",
+        "last_refusal": "",
+        "dropped": "0",
     }
     told = RobotStatus(
         7, ServerState.FAULT, "", source=ServerState.HOLDING, event=ServerEvent.FAULT
