@@ -65,8 +65,9 @@ class DeployCommand:
     speed: float = 1.0
     """Fraction of the training's speed, 0.1..1."""
     lead_ms: float = 24.0
-    """Time from a robot state to the motion that answers it, ms, a multiple of 4: raise it if
-    cycles are missed on a busy computer, at the price of slower reactions."""
+    """Time from a robot state to the motion that answers it, ms, a multiple of 4 in 8..100: raise
+    it if states or commands are late on a busy computer, at the price of slower reactions. States
+    may be three times as old, at least 100 ms."""
     record: Path | None = None
     """MCAP file to record everything to."""
     live: bool = False

@@ -35,8 +35,8 @@ class DeployOptions:
     """Fraction of the training's speed, 0.1..1; control steps take 1 / speed times as long."""
     lead_ms: float = 24.0
     """Time from a robot state to the start of the motion that answers it, ms, a multiple of 4:
-    what planning, link and jitter may take together. More tolerates a busier computer, less
-    reacts faster."""
+    what planning, link and jitter may take together. More tolerates a busier computer (states may
+    be three leads old, at least 100 ms), less reacts faster."""
     start_spread: float = 0.005
     """Half-width of the uniform offset of the hand's start, m per axis, as in training."""
     dry_run: bool = False
@@ -56,6 +56,16 @@ class DeployOptions:
     name or a publisher's global id."""
     zenoh_config: Path | None = None
     """Zenoh configuration file; says where a running robot server is unless `connect` does."""
+
+    @property
+    def starts_robot(self) -> bool:
+        """Whether the run starts a robot of its own."""
+        return self.connect is None and self.zenoh_config is None
+
+    @property
+    def may_wait(self) -> bool:
+        """Whether the run may be in lock-step though that was not asked for."""
+        return self.starts_robot and not self.dry_run
 
     def __post_init__(self) -> None:
         if self.episodes < 1:

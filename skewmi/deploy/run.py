@@ -18,6 +18,7 @@ from skewmi.deploy.robot.process import spawn_robot
 from skewmi.deploy.session.connect import connect
 from skewmi.deploy.session.pace import planning_limits
 from skewmi.deploy.session.preflight import require_workspace
+from skewmi.deploy.session.steadiness import TooBusyError
 from skewmi.deploy.session.trust import Trust
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.transport import Link, TransportConfig
@@ -55,8 +56,28 @@ def run_deploy(
     """
     stop = threading.Event() if stop is None else stop
     tell = (lambda text: None) if on_event is None else on_event
-    profile = joint_limits.profile(options.limits)
+    joint_limits.profile(options.limits)
     require_workspace(policy.layout)
+    try:
+        return _run(policy, options, stop, tell)
+    except TooBusyError as busy:
+        note = f"{busy}. The simulated robot waits for this run now (--lock-step)"
+        tell(note)
+        report = _run(policy, replace(options, lock_step=True), stop, tell)
+        report.notes.insert(0, note)
+        return report
+
+
+def _run(
+    policy: Policy, options: DeployOptions, stop: threading.Event, tell: Callable[[str], None]
+) -> DeployReport:
+    """As `run_deploy`, at the pace of the options.
+
+    Raises:
+        TooBusyError: In real time, by a simulated robot that was started for this run.
+        SkewmiError: As `run_deploy`.
+    """
+    profile = joint_limits.profile(options.limits)
     report = DeployReport(
         task=policy.layout.task,
         robot=options.connect or str(options.zenoh_config or options.robot),
@@ -86,7 +107,7 @@ def _robot_server(
     options: DeployOptions, task: str, tell: Callable[[str], None]
 ) -> AbstractContextManager[str | None]:
     """Locator of the robot server that the options name, or of one that is started."""
-    if options.connect is not None or options.zenoh_config is not None:
+    if not options.starts_robot:
         return nullcontext(options.connect)
     tell(f"starting the robot {options.robot!r} in its own process")
     return spawn_robot(

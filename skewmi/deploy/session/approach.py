@@ -7,8 +7,9 @@ import numpy as np
 from skewmi.deploy.motion.start_motion import StartMotion
 from skewmi.deploy.session.arm_state import ArmState
 from skewmi.deploy.session.control_loop import ControlLoop
-from skewmi.deploy.session.robot_client import LateChunkError
+from skewmi.deploy.session.refused import LateChunkError
 from skewmi.deploy.session.stream import ChunkStream
+from skewmi.deploy.session.timing import BUSY_ADVICE
 from skewmi.errors import CommandRefusedError
 from skewmi.policy_io import Array
 from skewmi.robot_models.limits import JointLimits
@@ -67,7 +68,7 @@ class Approach:
                 q, state = self._loop.coast(state)
             except LateChunkError:
                 q, state = self._loop.recover()
-        raise CommandRefusedError(f"{START_ATTEMPTS} start motions came too late; is the CPU free?")
+        raise CommandRefusedError(f"{START_ATTEMPTS} start motions came too late; {BUSY_ADVICE}")
 
 
 class _Way:

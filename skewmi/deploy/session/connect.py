@@ -24,10 +24,11 @@ from skewmi.deploy.session.robot_client import RobotClient
 from skewmi.deploy.session.session import Session
 from skewmi.deploy.session.states import SessionEvent
 from skewmi.deploy.session.status import SessionStatus
+from skewmi.deploy.session.steadiness import TooBusyError, check_steadiness
 from skewmi.deploy.session.stream import ChunkStream
 from skewmi.deploy.session.timing import CycleTimes
 from skewmi.deploy.session.trust import Trust
-from skewmi.deploy.session.warm_up import warm_up
+from skewmi.deploy.session.warm_up import Rehearsal, warm_up
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.transport import Link
 from skewmi.policy_io import Policy
@@ -55,7 +56,8 @@ def connect(
     Raises:
         LayoutMismatchError: The robot server is not what the policy was made for.
         ConfigurationError: The robot server's limits or pace differ.
-        TransportError: No robot server answers.
+        TransportError: It does not answer.
+        TooBusyError: This computer is too busy, and the simulated robot of this run could wait.
     """
     layout, workspace = policy.layout, require_workspace(policy.layout)
     limits = planning_limits(options.limits, options.speed)
@@ -76,7 +78,7 @@ def connect(
     check_agreement(layout, options.robot_model_hash, limits, described)
     status.clock_ns = described.clock_ns
 
-    observer = Observer.open(link, layout, described, trust.senders)
+    observer = Observer.open(link, layout, described, trust.senders, options.lead_ms / 1e3)
     flange_speed = described.limits.get(FLANGE_SPEED, (TCP_SPEED_LIMIT,))[0]
     times, checks = CycleTimes(), ChunkChecks(limits, workspace, flange_speed)
     stream = ChunkStream(
@@ -97,9 +99,9 @@ def connect(
     episodes = EpisodeRunner(
         layout, options, preflight, approach, motion, loop, checks, robot, status
     )
-    warm_up(
-        policy, workspace, Planner(workspace, limits, flange_speed=flange_speed), checks, stream
-    )
+    spare = Planner(workspace, limits, flange_speed=flange_speed)
+    rehearsal = warm_up(Rehearsal(policy, workspace, spare, checks), stream)
+    _watch_pace(observer, rehearsal, report, tell, described.simulated and options.may_wait)
     status.fire(SessionEvent.CONNECTED, f"{described.backend} robot, {described.task}")
     return Session(options, episodes, status, trust, stream, times, report, stop, tell)
 
@@ -108,6 +110,25 @@ def _late_by_cycle_ns(described: RobotDescription) -> int:
     """How much later than the grid a robot with a cycle of its own may tell its state, in steps."""
     cycle_ns = described.cycle_ns
     return 0 if GRID_NS % cycle_ns == 0 else -(-cycle_ns // GRID_NS) * GRID_NS
+
+
+def _watch_pace(
+    observer: Observer,
+    rehearsal: Rehearsal,
+    report: DeployReport,
+    tell: Callable[[str], None],
+    can_wait: bool,
+) -> None:
+    """See whether this computer keeps up; a robot that can wait for it is left to the caller."""
+    if report.lock_step:
+        return
+    try:
+        check_steadiness(observer, rehearsal)
+    except TooBusyError as error:
+        if can_wait:
+            raise
+        report.notes.append(str(error))
+        tell(str(error))
 
 
 def _tell_pace(pace: Pace, report: DeployReport, tell: Callable[[str], None]) -> None:

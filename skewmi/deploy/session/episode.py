@@ -18,9 +18,11 @@ from skewmi.deploy.session.control_loop import ControlLoop
 from skewmi.deploy.session.interrupt import StopRequestedError
 from skewmi.deploy.session.policy_motion import PolicyMotion
 from skewmi.deploy.session.preflight import Preflight
-from skewmi.deploy.session.robot_client import LateChunkError, RobotClient
+from skewmi.deploy.session.refused import LateChunkError
+from skewmi.deploy.session.robot_client import RobotClient
 from skewmi.deploy.session.states import SessionEvent, SessionState
 from skewmi.deploy.session.status import SessionStatus
+from skewmi.deploy.session.timing import BUSY_ADVICE
 from skewmi.errors import SkewmiError, TransportError
 from skewmi.policy_io import Array, PolicyLayout
 
@@ -159,10 +161,10 @@ class EpisodeRunner:
         while True:
             try:
                 self._loop.run(self._policy, q, state)
-            except LateChunkError:
+            except LateChunkError as error:
                 recoveries += 1
                 if recoveries > RECOVERIES:
-                    raise
+                    raise LateChunkError(f"{error}; {BUSY_ADVICE}") from error
                 q, state = self._loop.recover()
             else:
                 return

@@ -6,7 +6,8 @@ import time
 
 from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.session.arm_state import ArmState, ArmStateDecoder
-from skewmi.deploy.session.scene_states import SceneStates, StaleStateError
+from skewmi.deploy.session.scene_states import MAX_SCENE_AGE_S, SceneStates, StaleStateError
+from skewmi.deploy.session.timing import BUSY_ADVICE
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.senders import Senders
 from skewmi.deploy.wire.transport import LatestReader, Link, Sample
@@ -15,7 +16,9 @@ from skewmi.robot_models import frames, yumi
 from skewmi.robot_models.kinematics import ArmKinematics
 
 MAX_JOINT_AGE_S = 0.100
-"""Joint states older than this stop the arm."""
+"""Joint states older than this stop the arm; with a long lead they may be older."""
+MOST_JOINT_AGE_S = 0.300
+"""And with the longest lead."""
 LOCK_STEP_PATIENCE_S = 30.0
 """In lock-step nothing is ever old; a robot server that says nothing for so long is gone."""
 
@@ -23,12 +26,32 @@ CROWD = 1_000
 """Unread messages that are kept of everybody, so that a stranger's do not displace the robot
 server's: in the longest wait between two looks, 18 ms, somebody may send 55,000 a second."""
 
+_LEADS = 3
+"""Ages of a joint state that are allowed, in leads."""
+
 _FIRST_STATES = 10
 """Joint states that may come before the first scene state, which may be another program's: 0.2 s,
 as old as scene states may be."""
 
+_SCENE_AFTER_S = 0.1
+"""A scene state may be older than a joint state by this."""
+
 _POLL_S = 250e-6
+_CALM_S = 0.005
 _EARLY_S = 0.002
+
+
+def allowed_age_s(lead_s: float) -> float:
+    """How old a joint state may become before the arm stops, s.
+
+    Who plans further ahead may wait longer: a chunk that would come too late is not sent anyway,
+    and every chunk ends at rest within half a second. So the age grows with the lead, up to a
+    bound.
+
+    Args:
+        lead_s: From a state to the motion that answers it, s.
+    """
+    return min(max(MAX_JOINT_AGE_S, _LEADS * lead_s), MOST_JOINT_AGE_S)
 
 
 class Observer:
@@ -41,6 +64,7 @@ class Observer:
         layout: Of the policy.
         lock_step: Take every state in order, however old, instead of the newest.
         state_period_s: How often the robot server publishes, s.
+        max_age_s: Of a joint state, before the arm stops, s; see `allowed_age_s`.
     """
 
     def __init__(
@@ -52,12 +76,14 @@ class Observer:
         *,
         lock_step: bool,
         state_period_s: float,
+        max_age_s: float = MAX_JOINT_AGE_S,
     ) -> None:
         self._joints = joints
         self._decoder = decoder
         self._scene = scene
         self._layout = layout
         self._lock_step = lock_step
+        self.max_age_s = max_age_s
         self._period_ns = round(state_period_s * 1e9)
         self._kinematics = ArmKinematics("right")
         self._arm: ArmState | None = None
@@ -65,7 +91,11 @@ class Observer:
 
     @staticmethod
     def open(
-        link: Link, layout: PolicyLayout, server: RobotDescription, senders: Senders
+        link: Link,
+        layout: PolicyLayout,
+        server: RobotDescription,
+        senders: Senders,
+        lead_s: float,
     ) -> Observer:
         """Subscribe to the states of the right arm and of the scene on an open link.
 
@@ -74,6 +104,7 @@ class Observer:
             layout: Of the policy.
             server: What the robot server says about itself and its scene.
             senders: Who is believed.
+            lead_s: From a state to the motion that answers it, s.
         """
         lock_step = server.lock_step
         # Not only the newest in real time either: that may be somebody else's.
@@ -83,10 +114,17 @@ class Observer:
         return Observer(
             joints,
             ArmStateDecoder(yumi.joint_names("right"), yumi.finger_names("right")[0]),
-            SceneStates(scene, server.scene_fields, layout.observation_names, lock_step=lock_step),
+            SceneStates(
+                scene,
+                server.scene_fields,
+                layout.observation_names,
+                lock_step=lock_step,
+                max_age_s=max(MAX_SCENE_AGE_S, allowed_age_s(lead_s) + _SCENE_AFTER_S),
+            ),
             layout,
             lock_step=lock_step,
             state_period_s=server.state_period_ns / 1e9,
+            max_age_s=allowed_age_s(lead_s),
         )
 
     def next_state(self) -> ArmState | None:
@@ -103,7 +141,7 @@ class Observer:
             TransportError: A state is malformed.
         """
         last = self._arm
-        patience_s = LOCK_STEP_PATIENCE_S if self._lock_step else MAX_JOINT_AGE_S
+        patience_s = LOCK_STEP_PATIENCE_S if self._lock_step else self.max_age_s
         started_ns = time.monotonic_ns()
         since_ns = started_ns if last is None else max(last.received_ns, 0)
         if last is not None and not self._lock_step:
@@ -120,11 +158,13 @@ class Observer:
                 return state
             waited_s = (time.monotonic_ns() - since_ns) / 1e9
             if waited_s > patience_s:
+                advice = "" if self._lock_step else f"; {BUSY_ADVICE}"
                 raise StaleStateError(
                     f"no new joint state for {1e3 * waited_s:.0f} ms; at most "
-                    f"{1e3 * patience_s:.0f} ms are allowed{self._joints.others()}"
+                    f"{1e3 * patience_s:.0f} ms are allowed{advice}{self._joints.others()}"
                 )
-            time.sleep(20e-6 if self._lock_step else _POLL_S)
+            # In lock-step a state comes as soon as the robot server has its time.
+            time.sleep(20e-6 if self._lock_step and waited_s < _CALM_S else _POLL_S)
 
     def fresh_state(self) -> ArmState:
         """Forget everything, and wait for a joint state with the scene state that belongs to it.

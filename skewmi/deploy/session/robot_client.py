@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from contextlib import suppress
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from skewmi.deploy.robot.description import SCENE_REQUEST, RobotDescription
 from skewmi.deploy.robot.states import ServerState
 from skewmi.deploy.robot.status import RobotStatus
 from skewmi.deploy.session.interrupt import StopRequestedError
+from skewmi.deploy.session.refused import LateChunkError, RefusedCommands
 from skewmi.deploy.session.trust import Trust
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.messages import (
@@ -29,10 +31,6 @@ READY_TIMEOUT_S = 10.0
 """How long a robot may take to become ready: its program starts again after a reset, ..."""
 
 _ENDING = (ServerState.STOPPING, ServerState.DISARMED)
-
-
-class LateChunkError(CommandRefusedError):
-    """The robot server refused a chunk for coming too late or after a lost one; the arm brakes."""
 
 
 class RobotClient:
@@ -63,7 +61,7 @@ class RobotClient:
         self._gripper = gripper
         self._status = status
         self._dry_run = dry_run
-        self._refused = 0
+        self._refused = RefusedCommands(commands.gid)
         self._armed = False
         self._heard = False
 
@@ -138,7 +136,7 @@ class RobotClient:
         if not self._dry_run:
             self._call(topics.YUMI_ARM, self._gids)
             self._armed = True
-        self._refused, self._heard = 0, False
+        self._refused, self._heard = RefusedCommands(self._commands.gid), False
         self._news()
 
     def put_chunk(self, payload: bytes) -> None:
@@ -171,10 +169,7 @@ class RobotClient:
                 raise TransportError(f"the robot server is in {status.message}")
             if status.state in _ENDING:
                 raise StopRequestedError(f"the robot server is {status.message}")
-            if self._note_refusals(status):
-                late = status.out_of_step and not late_is_final
-                kind = LateChunkError if late else CommandRefusedError
-                raise kind(f"the robot server refused a command: {status.refusal}")
+            self._refused.check(status, late_is_final=late_is_final)
 
     def confirm_senders(self) -> None:
         """Look once more whether anybody sends in the robot server's name.
@@ -193,6 +188,7 @@ class RobotClient:
 
         Raises:
             StopRequestedError: It was stopped meanwhile.
+            CommandRefusedError: It refused a command for another reason than its time.
             TransportError: It does not come to rest, or is in fault.
         """
         deadline = time.monotonic() + REST_TIMEOUT_S
@@ -205,7 +201,8 @@ class RobotClient:
                 raise TransportError(f"the arm does not rest within {REST_TIMEOUT_S:g} s")
             time.sleep(0.02)
         for status in self._news():
-            self._note_refusals(status)
+            with suppress(LateChunkError):
+                self._refused.check(status, late_is_final=False)
         return np.array(description.commanded_position)
 
     def disarm(self) -> RobotDescription | None:
@@ -250,18 +247,6 @@ class RobotClient:
 
     def _is_ours(self, status: RobotStatus) -> bool:
         return status.commander == self._commands.gid
-
-    def _note_refusals(self, status: RobotStatus) -> bool:
-        """Whether the robot server has refused more of ours than it had when last heard.
-
-        What it refused of others, or before we armed, is none of our business: else anybody
-        could stop us with a chunk of his own.
-        """
-        if not self._is_ours(status):
-            return False
-        before = self._refused
-        self._refused = status.refused_of_commander
-        return self._refused > before
 
     def _ask(self, extra: bytes = b"") -> RobotDescription:
         """A description, while the arm is ours: whom to believe stays."""

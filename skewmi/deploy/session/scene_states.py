@@ -11,7 +11,7 @@ from skewmi.errors import SkewmiError
 from skewmi.policy_io import TIME_FIELD
 
 MAX_SCENE_AGE_S = 0.200
-"""Scene states older than this stop the arm."""
+"""Scene states older than this stop the arm; with a long lead they may be older."""
 
 _ARM_FIELDS = {"hand_x", "hand_y", "hand_z", "gripper", TIME_FIELD}
 """Observation fields that joint states and clock tell; the rest is the scene's."""
@@ -29,6 +29,7 @@ class SceneStates:
         scene_fields: Observation field of each joint in the scene states, by the joint's name.
         observation_names: Fields of the policy's observation.
         lock_step: Take states in order, up to the stamp that is asked for; none is ever too old.
+        max_age_s: Of a scene state, before the arm stops, s.
     """
 
     def __init__(
@@ -38,7 +39,9 @@ class SceneStates:
         observation_names: tuple[str, ...],
         *,
         lock_step: bool,
+        max_age_s: float = MAX_SCENE_AGE_S,
     ) -> None:
+        self._max_age_s = max_age_s
         self._reader = reader
         self._field_of = scene_fields
         self._needed = set(observation_names) - _ARM_FIELDS
@@ -88,8 +91,8 @@ class SceneStates:
         if arm_stamp_ns is not None:
             # A publisher that hangs may repeat an old state for ever: its stamp tells.
             age_s = max(age_s, (arm_stamp_ns - self._stamp_ns) / 1e9)
-        if self._needed and not self._lock_step and age_s > MAX_SCENE_AGE_S:
+        if self._needed and not self._lock_step and age_s > self._max_age_s:
             raise StaleStateError(
                 f"the scene state is {1e3 * age_s:.0f} ms old; at most "
-                f"{1e3 * MAX_SCENE_AGE_S:.0f} ms are allowed{self._reader.others()}"
+                f"{1e3 * self._max_age_s:.0f} ms are allowed{self._reader.others()}"
             )

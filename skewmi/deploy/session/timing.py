@@ -8,6 +8,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+BUSY_ADVICE = (
+    "on a busy computer raise --lead-ms (up to 100), or give --lock-step with a simulated robot; "
+    "`skewmi doctor` tells what this computer lacks"
+)
+"""What to do if states or commands come too late."""
+
 
 class CycleTimes:
     """A stopwatch with named stages; each lap ends one stage and begins the next.

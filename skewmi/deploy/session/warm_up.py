@@ -13,29 +13,54 @@ from skewmi.trajectory import CYCLE_TICKS
 _CYCLES = 10
 
 
-def warm_up(
-    policy: Policy, workspace: Workspace, planner: Planner, checks: ChunkChecks, stream: ChunkStream
-) -> None:
-    """Plan and check some cycles, sending nothing.
+class Rehearsal:
+    """Plans and checks cycles as a run does, sending nothing.
 
     Args:
         policy: Acts once, and is reset by whoever runs it.
         workspace: Of the policy.
-        planner: Plans some cycles; to be reset afterwards.
-        checks: Judge them, in the box and out of it.
+        planner: Plans; to be reset afterwards.
+        checks: Judge what is planned, in the box and out of it.
+    """
+
+    def __init__(
+        self, policy: Policy, workspace: Workspace, planner: Planner, checks: ChunkChecks
+    ) -> None:
+        self._policy = policy
+        self._workspace = workspace
+        self._planner = planner
+        self._checks = checks
+        self._cycle = 0
+        policy.reset()
+
+    def __call__(self) -> None:
+        """One cycle."""
+        policy, planner = self._policy, self._planner
+        if self._cycle % _CYCLES == 0:
+            start = np.array(self._workspace.start_configuration)
+            planner.reset(start)
+            self._earlier = np.tile(start, (3, 1))
+            target = np.array(self._workspace.start) + 0.01
+            planner.set_target(target, policy.layout.control_dt)
+        if self._cycle == 0:
+            policy.act(np.zeros(policy.layout.observation_dim))
+        present = planner.present
+        chunk = planner.step()
+        self._checks.boxed = self._cycle % 2 == 0
+        for _, check in self._checks.stages:
+            check(chunk, present, self._earlier)
+        self._earlier = chunk.q[CYCLE_TICKS - 3 : CYCLE_TICKS]
+        self._cycle += 1
+
+
+def warm_up(rehearsal: Rehearsal, stream: ChunkStream) -> Rehearsal:
+    """Do once what every cycle does, sending nothing; returns the rehearsal.
+
+    Args:
+        rehearsal: Plans some cycles.
         stream: Lays out its messages.
     """
     stream.warm_up()
-    start = np.array(workspace.start_configuration)
-    planner.reset(start)
-    earlier = np.tile(start, (3, 1))
-    planner.set_target(np.array(workspace.start) + 0.01, policy.layout.control_dt)
-    policy.reset()
-    policy.act(np.zeros(policy.layout.observation_dim))
-    for cycle in range(_CYCLES):
-        present = planner.present
-        chunk = planner.step()
-        checks.boxed = cycle % 2 == 0
-        for _, check in checks.stages:
-            check(chunk, present, earlier)
-        earlier = chunk.q[CYCLE_TICKS - 3 : CYCLE_TICKS]
+    for _ in range(_CYCLES):
+        rehearsal()
+    return rehearsal

@@ -9,7 +9,7 @@ import pytest
 from loop_bench import Bench, Q, arm_state
 
 from skewmi.deploy.session.approach import REACHED, START_ATTEMPTS, Approach
-from skewmi.deploy.session.robot_client import LateChunkError
+from skewmi.deploy.session.refused import LateChunkError
 from skewmi.errors import CommandRefusedError
 from skewmi.robot_models import limits as joint_limits
 from skewmi.trajectory import CYCLE_NS, CYCLE_TICKS, Array

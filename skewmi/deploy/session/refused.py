@@ -1,0 +1,49 @@
+"""What a session makes of its commands that were refused."""
+
+from __future__ import annotations
+
+from skewmi.deploy.robot.status import RobotStatus
+from skewmi.errors import CommandRefusedError
+
+
+class LateChunkError(CommandRefusedError):
+    """The robot server refused a chunk for coming too late or after a lost one; the arm brakes."""
+
+
+class RefusedCommands:
+    """Counts what a robot server has refused of ours since we armed.
+
+    What it refused of others, or before, is none of our business: else anybody could stop us with a
+    chunk of his own. Statuses can be lost, so that counts decide, not what a single one tells.
+
+    Args:
+        gid: Of our publisher of chunks.
+    """
+
+    def __init__(self, gid: bytes) -> None:
+        self._gid = gid
+        self._refused = self._broken = 0
+
+    def check(self, status: RobotStatus, *, late_is_final: bool) -> None:
+        """See whether more was refused than when this was last asked.
+
+        Args:
+            status: Of the robot server.
+            late_is_final: Treat a late chunk as any other refused one.
+
+        Raises:
+            LateChunkError: All of it was late, or came after a lost one.
+            CommandRefusedError: Some was not.
+        """
+        if status.commander != self._gid:
+            return
+        more = status.refused_of_commander > self._refused
+        broken = status.broken_of_commander > self._broken or not status.out_of_step
+        self._refused, self._broken = status.refused_of_commander, status.broken_of_commander
+        if more:
+            known = status.last_refusal in status.refusal
+            reason = status.refusal if known else status.last_refusal
+            kind = CommandRefusedError if broken or late_is_final else LateChunkError
+            raise kind(
+                f"the robot server refused a command: {reason or 'its reason was lost on the way'}"
+            )
