@@ -36,19 +36,23 @@ from fault_kinds import (
     disarmed,
     doubled,
     frozen,
+    gripper_flood,
+    hard_to_read,
+    hard_to_read_late,
     intruder,
     killed,
     link_cut,
     link_silent,
     lost,
     planted,
+    refused_unheard,
     reordered,
     restarted,
     sent_late,
     silent,
     wrong_state,
 )
-from fault_row import ASKED, PATIENT_MS, DoesNotApply, Expect, Row
+from fault_rows import ASKED, PATIENT_MS, DoesNotApply, Expect, Row
 from fault_strangers import STRANGERS
 
 from skewmi.deploy.wire.topics import YUMI_JOINT_STATES, YUMI_SCENE_STATES
@@ -141,6 +145,12 @@ GROUPS: dict[str, tuple[Row, ...]] = {
             Expect(STOPPED, "malformed trajectory_msgs/msg/JointTrajectory"),
             Expect(AS_ASKED, "arm it first"),
         ),
+        Row(
+            Fault("5,415 empty points", hard_to_read, hard_to_read_late, lock_step=True),
+            Expect(STOPPED, "points of different forms"),
+            Expect(STOPPED, "points of different forms"),
+            REFUSED,
+        ),
         _chunk_row("joints in another order", sorted_names, "in this order"),
         _chunk_row("joints of the other arm", left_arm, "in this order"),
         _chunk_row("a NaN", one_nan, "positions hold values that are not finite"),
@@ -156,6 +166,19 @@ GROUPS: dict[str, tuple[Row, ...]] = {
             ("tool speed", "tool speed"),
             ("workspace box", BOX),
         )
+    ),
+    "What is lost of an answer": (
+        Row(
+            Fault(
+                "a limit is broken, the status that says so is lost",
+                refused_unheard(breaching("jerk")),
+                sent_late(breaching("jerk")),
+                lock_step=True,
+            ),
+            Expect(STOPPED, "joint jerk"),
+            Expect(STOPPED, "joint jerk"),
+            REFUSED,
+        ),
     ),
     "The planner breaks a limit (the session does not send it)": (
         _planned_row("position", "joint position", "joint position"),
@@ -230,6 +253,18 @@ GROUPS: dict[str, tuple[Row, ...]] = {
             INTRUDER,
             INTRUDER,
             REFUSED,
+            go_on="nothing to do",
+        ),
+        Row(
+            Fault(
+                "a stranger's gripper messages of 130 kB at 100 Hz",
+                gripper_flood,
+                gripper_flood,
+                lead_ms=PATIENT_MS,
+            ),
+            Expect(GOES_ON, "is not the gripper's commander"),
+            Expect(GOES_ON, "is not the gripper's commander"),
+            ASKED,
             go_on="nothing to do",
         ),
         Row(

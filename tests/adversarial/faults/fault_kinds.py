@@ -11,11 +11,12 @@ import numpy as np
 from fault_cell import Cell
 from fault_chunks import rows_of
 from fault_link import Delivery, Message
+from flood_senders import many_points
 from strangers import FALSE
 
 from skewmi.cli.stop import StopCommand, run_stop
 from skewmi.deploy.wire import topics
-from skewmi.deploy.wire.messages import decode_joint_states, encode_joint_states
+from skewmi.deploy.wire.messages import decode_joint_states, decode_status, encode_joint_states
 from skewmi.deploy.wire.transport import Link, TransportConfig
 from skewmi.trajectory import CYCLE_NS, CYCLE_TICKS, TrajectoryChunk
 
@@ -23,6 +24,7 @@ Inject = Callable[[Cell], None]
 Change = Callable[[TrajectoryChunk], TrajectoryChunk]
 
 DOWN_S = 1.0
+FLOOD_BYTES, FLOOD_MESSAGES = 130_000, 60
 
 
 def silent(topic: topics.Topic) -> Inject:
@@ -222,6 +224,49 @@ def copied(topic: topics.Topic) -> Inject:
             if t is topic:
                 cell.link.to_session(t, message)
             return message
+
+        cell.link.on_state = on_state
+
+    return inject
+
+
+def gripper_flood(cell: Cell) -> None:
+    """A stranger sends the longest gripper messages at 100 Hz."""
+
+    def flood() -> None:
+        with Link.open(TransportConfig.for_client(cell.robot.locator), "stranger") as link:
+            publisher = link.publisher(topics.YUMI_GRIPPER)
+            link.call(topics.YUMI_DESCRIBE, 5.0)  # so that it is known who listens
+            for _ in range(FLOOD_MESSAGES):
+                publisher.put(bytes(FLOOD_BYTES))
+                time.sleep(0.01)
+
+    cell.spawn(flood)
+
+
+def hard_to_read(cell: Cell) -> None:
+    """One chunk of the commander's is replaced by thousands of points without content."""
+    payload = many_points()
+    first(1, lambda message: [(0.0, replace(message, payload=payload))])(cell)
+
+
+def hard_to_read_late(cell: Cell) -> None:
+    cell.link.send(replace(next_chunk(cell), payload=many_points()))
+
+
+def refused_unheard(change: Change) -> Inject:
+    """One chunk is replaced, and the status that tells why it was refused is lost."""
+
+    def inject(cell: Cell) -> None:
+        changed(change)(cell)
+
+        def on_state(topic: topics.Topic, message: Message) -> Message | None:
+            if topic is not topics.YUMI_STATUS or not decode_status(message.payload).values.get(
+                "refusal"
+            ):
+                return message
+            cell.link.on_state = None
+            return None
 
         cell.link.on_state = on_state
 

@@ -81,7 +81,7 @@ class FaultLink:
         self.on_chunk: Callable[[Message], list[Delivery]] | None = None
         """What becomes of a chunk on its way to the robot server."""
         self.on_state: Callable[[topics.Topic, Message], Message | None] | None = None
-        """What becomes of a joint or scene state on its way to the session."""
+        """What becomes of a joint or scene state, or a status, on its way to the session."""
         self.on_stopped: Callable[[], None] | None = None
         """Called once when the session's own stop has been answered by the robot server."""
         self._robot_statuses: list[Status] = []
@@ -209,10 +209,9 @@ class FaultLink:
 
     def _from_robot(self, topic: topics.Topic, message: Message) -> None:
         out: Message | None = message
-        if topic is topics.YUMI_STATUS:
-            if self.last_chunk is not None:
-                self._robot_statuses.append(decode_status(message.payload))
-        elif self.on_state is not None:
+        if topic is topics.YUMI_STATUS and self.last_chunk is not None:
+            self._robot_statuses.append(decode_status(message.payload))
+        if self.on_state is not None:
             out = self.on_state(topic, message)
         if out is not None:
             self._put(self._to_session[topic.name], out)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fault_cell import FAULT, GOES_ON, Fault
 from fault_kinds import copied, stranger
-from fault_row import ASKED, PATIENT_MS, Expect, Row
+from fault_rows import ASKED, PATIENT_MS, Expect, Row
 
 from skewmi.deploy.wire.topics import YUMI_JOINT_STATES, YUMI_SCENE_STATES, YUMI_STATUS, Topic
 

@@ -12,6 +12,8 @@ import time
 from contextlib import closing
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
 from fault_benches import Benches
 from fault_catalog import ROWS, DoesNotApply
 from fault_cell import Phase
