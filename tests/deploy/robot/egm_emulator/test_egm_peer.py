@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
 import json
 import math
+import os
 import subprocess
 import sys
 import threading
@@ -14,9 +16,14 @@ from typing import Any
 import numpy as np
 import pytest
 from egm_ports import free_udp_port
+from egm_wire import Reference
 
 from skewmi.deploy.robot.backends.egm import messages
-from skewmi.deploy.robot.backends.egm.codec import decode_reference, encode_feedback
+from skewmi.deploy.robot.backends.egm.codec import (
+    decode_reference,
+    encode_feedback,
+    encode_reference,
+)
 from skewmi.deploy.robot.backends.egm.packets import FeedbackPacket, Mci, Motors, Pose, Rapid
 from skewmi.deploy.robot.backends.egm.program import ProgramSettings
 from skewmi.deploy.robot.egm_emulator.controller import EmulatedController, IdealPlant
@@ -27,11 +34,17 @@ from skewmi.robot_models import yumi
 from skewmi.robot_models.yumi import ARMS, Side
 
 SUPPORT = Path(__file__).parents[3] / "support"
-PROGRAM = [sys.executable, str(SUPPORT / "egm_peer_process.py")]
+PEER_VARIABLE = "SKEWMI_EGM_PEER_PYTHON"
+"""A Python that has ABBRobotEGM, if ours shall not have it."""
+
+HAS_PEER = PEER_VARIABLE in os.environ or importlib.util.find_spec("ABBRobotEGM") is not None
+PYTHON = os.environ.get(PEER_VARIABLE, sys.executable)
+PROGRAM = [PYTHON, str(SUPPORT / "egm_peer_process.py")]
 
 pytestmark = pytest.mark.skipif(
-    importlib.util.find_spec("ABBRobotEGM") is None,
-    reason="the independent client is not installed: pip install -e '.[dev]'",
+    not HAS_PEER,
+    reason="the independent client is not installed: pip install -e '.[dev]', or set "
+    f"{PEER_VARIABLE} to a Python that has ABBRobotEGM",
 )
 
 
@@ -145,6 +158,13 @@ def test_we_read_what_the_peer_writes() -> None:
         assert packet.sequence == number
         np.testing.assert_allclose(np.degrees(packet.q), np.array(a[:7])[order], atol=1e-12)
         np.testing.assert_allclose(np.degrees(packet.v), np.array(a[7:])[order], atol=1e-12)
+        # The same message written by us: field by field what the peer wrote, on the wire.
+        ours, theirs = (
+            Reference.decode(data) for data in (encode_reference(packet), bytes.fromhex(line))
+        )
+        for field in dataclasses.fields(Reference):
+            written = getattr(ours, field.name)
+            assert written == pytest.approx(getattr(theirs, field.name), abs=1e-12), field.name
 
 
 @pytest.mark.parametrize("robotware", [6, 7])
