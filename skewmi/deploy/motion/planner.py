@@ -28,7 +28,7 @@ import numpy as np
 from skewmi.deploy.motion.brake import Array
 from skewmi.deploy.motion.cartesian_shaper import CartesianShaper, Reference
 from skewmi.deploy.motion.differential_ik import FEEDBACK_RATE, DifferentialIk
-from skewmi.deploy.motion.hand_bounds import derive_hand_bounds
+from skewmi.deploy.motion.hand_bounds import HandBounds, derive_hand_bounds
 from skewmi.deploy.motion.joint_shaper import JointShaper
 from skewmi.deploy.safety.limits import TCP_SPEED_LIMIT, WORKSPACE_TOLERANCE
 from skewmi.errors import ConfigurationError, KinematicsError, LimitViolationError
@@ -64,11 +64,7 @@ class Planner:
     """
 
     def __init__(
-        self,
-        workspace: Workspace,
-        limits: JointLimits,
-        *,
-        flange_speed: float = TCP_SPEED_LIMIT,
+        self, workspace: Workspace, limits: JointLimits, *, flange_speed: float = TCP_SPEED_LIMIT
     ) -> None:
         self.limits = limits
         self.workspace = workspace
@@ -82,13 +78,7 @@ class Planner:
         self.hand_bounds = derive_hand_bounds(workspace, self._kinematics, limits, flange_speed)
         self._joints = JointShaper(limits)
         self._ik = DifferentialIk(posture, self._rotation)
-        self._hand = CartesianShaper(
-            self._low,
-            self._high,
-            speed=self.hand_bounds.speed,
-            acceleration=self.hand_bounds.acceleration,
-            jerk=self.hand_bounds.jerk,
-        )
+        self._hand = _shaper(self._low, self._high, self.hand_bounds)
         self._reference = Reference(np.array(workspace.start))
         # Where x was when the arm was told to be where it is now: the joint shaper's lag is no
         # error that the feedback should catch up with, it would overshoot every stop.
@@ -257,3 +247,9 @@ class Planner:
         if float((steps * steps).sum(axis=1).max()) > (self._tcp_speed * GRID_S) ** 2:
             return "the tool would be too fast"
         return None
+
+
+def _shaper(low: Array, high: Array, bounds: HandBounds) -> CartesianShaper:
+    return CartesianShaper(
+        low, high, speed=bounds.speed, acceleration=bounds.acceleration, jerk=bounds.jerk
+    )

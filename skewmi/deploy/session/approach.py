@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from skewmi.deploy.motion.start_motion import StartMotion
+from skewmi.deploy.safety.limits import TCP_SPEED_LIMIT
 from skewmi.deploy.session.arm_state import ArmState
 from skewmi.deploy.session.control_loop import ControlLoop
 from skewmi.deploy.session.refused import LateChunkError
@@ -31,11 +32,15 @@ class Approach:
         loop: Carries out the motion.
         stream: Where its chunks go to.
         limits: To keep.
-        flange_speed: Likewise, m/s.
+        flange_speed: That the robot admits, m/s.
     """
 
     def __init__(
-        self, loop: ControlLoop, stream: ChunkStream, limits: JointLimits, flange_speed: float
+        self,
+        loop: ControlLoop,
+        stream: ChunkStream,
+        limits: JointLimits,
+        flange_speed: float = TCP_SPEED_LIMIT,
     ) -> None:
         self._flange_speed = flange_speed
         self._loop = loop

@@ -16,6 +16,7 @@ from skewmi.deploy.session.agreement import check_agreement
 from skewmi.deploy.session.arm_state import ArmState
 from skewmi.deploy.session.interrupt import StopRequestedError, check_interrupt
 from skewmi.deploy.session.observer import Observer
+from skewmi.deploy.session.readiness import wait_until_ready
 from skewmi.deploy.session.robot_client import RobotClient
 from skewmi.deploy.session.status import SessionStatus
 from skewmi.errors import LayoutMismatchError
@@ -99,7 +100,7 @@ class Preflight:
         """
         check_interrupt(self._stop)
         self._robot.meet()
-        self._robot.wait_until_ready(self._stop)
+        self._wait_until_ready()
         # Armed first: a scene that somebody else works in must not be reset.
         self._robot.arm()
         description = self._robot.describe()
@@ -119,10 +120,13 @@ class Preflight:
         check_interrupt(self._stop)
         return AtHold(state, q, q_goal)
 
+    def _wait_until_ready(self) -> RobotDescription:
+        return wait_until_ready(self._robot, self._stop, dry_run=self._options.dry_run)
+
     def _reset_scene(self, seed: int) -> RobotDescription:
         """Put the scene back, and command the robot again if it had to be moved for that."""
         self._robot.reset_scene(seed)
-        description = self._robot.wait_until_ready(self._stop)
+        description = self._wait_until_ready()
         if description.state != ServerState.DISARMED.value or self._options.dry_run:
             return description
         self._robot.arm()

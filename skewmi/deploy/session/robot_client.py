@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from contextlib import suppress
 
@@ -27,8 +26,6 @@ from skewmi.robot_models import yumi
 
 CALL_TIMEOUT_S = 5.0
 REST_TIMEOUT_S = 10.0
-READY_TIMEOUT_S = 10.0
-"""How long a robot may take to become ready: its program starts again after a reset, ..."""
 
 _ENDING = (ServerState.STOPPING, ServerState.DISARMED)
 
@@ -102,30 +99,6 @@ class RobotClient:
         """Put a simulated scene and its arm back to the start of an episode."""
         if not self._dry_run:
             self._call(topics.YUMI_SCENE_RESET, str(seed).encode())
-
-    def wait_until_ready(self, stop: threading.Event) -> RobotDescription:
-        """Wait until the robot could be commanded.
-
-        Args:
-            stop: Ends the waiting.
-
-        Returns:
-            What the robot server says then.
-
-        Raises:
-            StopRequestedError: `stop` was set.
-            CommandRefusedError: What is missing after `READY_TIMEOUT_S`.
-            TransportError: It does not answer.
-        """
-        deadline = time.monotonic() + READY_TIMEOUT_S
-        while not (description := self.describe()).ready and not self._dry_run:
-            if time.monotonic() > deadline:
-                raise CommandRefusedError(
-                    f"the robot is not ready after {READY_TIMEOUT_S:g} s: {description.not_ready}"
-                )
-            if stop.wait(0.05):
-                raise StopRequestedError("interrupted")
-        return description
 
     def arm(self) -> None:
         """Become the commander.
