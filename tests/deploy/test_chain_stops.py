@@ -29,6 +29,7 @@ from skewmi.deploy.wire.messages import (
 )
 from skewmi.deploy.wire.transport import Link, TransportConfig
 from skewmi.policy_io import Array
+from skewmi.trajectory import GRID_NS
 
 SUPPORT = Path(__file__).parents[1] / "support"
 
@@ -116,8 +117,9 @@ def test_killed_session_leaves_the_arm_at_rest_within_limits(robot: str, tmp_pat
     last = chunks_of(path)[-1]
     statuses = [decode_status(m.payload) for m in read_recording(path).messages["/yumi/status"]]
     ends = [s for s in statuses if s.values.get("event") == "at rest"]
-    # The arm rested exactly where the last chunk's tail ends.
-    assert ends[-1].stamp_ns == last.stamp_ns + last.time_from_start_ns[-1]
+    # The arm rested exactly where the last chunk's tail ends: told when that sample was executed,
+    # with the time when the next one is due.
+    assert ends[-1].stamp_ns == last.stamp_ns + last.time_from_start_ns[-1] + GRID_NS
 
 
 def test_silent_robot_server_stops_the_run_as_stale(tmp_path: Path) -> None:

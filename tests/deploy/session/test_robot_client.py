@@ -39,6 +39,20 @@ class Inbox:
     payload = b""
 
 
+class Everybody:
+    """A trust that nobody disturbs."""
+
+    server = ""
+
+    def look(self) -> None:
+        """Nobody else is heard."""
+
+
+def open_client(inbox: Inbox) -> RobotClient:
+    publishers = Publisher(), Publisher()
+    return RobotClient(None, Everybody(), *publishers, inbox, dry_run=False)  # type: ignore[arg-type]
+
+
 def told(refusals: Refusals) -> RobotStatus:
     """As the robot server's publisher makes a status."""
     untold = refusals.take()
@@ -72,7 +86,7 @@ def test_whatever_is_lost_a_refusal_has_a_reason_and_a_broken_command_is_no_late
     rounds: list[tuple[list[Refusal], bool]],
 ) -> None:
     refusals, inbox = Refusals(), Inbox()
-    client = RobotClient(None, Publisher(), Publisher(), inbox, dry_run=False)  # type: ignore[arg-type]
+    client = open_client(inbox)
     untold: list[Refusal] = []
     for refused, arrives in [*rounds, ([], True)]:
         for refusal in refused:
@@ -95,7 +109,7 @@ def test_whatever_is_lost_a_refusal_has_a_reason_and_a_broken_command_is_no_late
 
 def test_late_ones_are_final_where_the_robot_waits() -> None:
     refusals, inbox = Refusals(), Inbox()
-    client = RobotClient(None, Publisher(), Publisher(), inbox, dry_run=False)  # type: ignore[arg-type]
+    client = open_client(inbox)
     refusals.note(Refusal("too late", out_of_step=True, of_commander=True))
     inbox.put(told(refusals).encode())
     with pytest.raises(CommandRefusedError, match="too late") as raised:
@@ -105,7 +119,7 @@ def test_late_ones_are_final_where_the_robot_waits() -> None:
 
 def test_a_status_of_an_older_robot_server_without_a_reason_says_so() -> None:
     inbox = Inbox()
-    client = RobotClient(None, Publisher(), Publisher(), inbox, dry_run=False)  # type: ignore[arg-type]
+    client = open_client(inbox)
     status = RobotStatus(0, ServerState.HOLDING, "", refused_of_commander=1, commander=OURS)
     inbox.put(status.encode())
     with pytest.raises(LateChunkError, match="its reason was lost on the way"):
@@ -114,9 +128,9 @@ def test_a_status_of_an_older_robot_server_without_a_reason_says_so() -> None:
 
 def test_a_broken_command_ends_a_recovery(monkeypatch: pytest.MonkeyPatch) -> None:
     refusals, inbox = Refusals(), Inbox()
-    client = RobotClient(None, Publisher(), Publisher(), inbox, dry_run=False)  # type: ignore[arg-type]
+    client = open_client(inbox)
     at_rest = type("At", (), {"state": "holding", "commanded_position": (0.0,) * 7, "reason": ""})
-    monkeypatch.setattr(client, "describe", lambda: at_rest)
+    monkeypatch.setattr(client, "_ask", lambda: at_rest)
     refusals.note(Refusal("too late", out_of_step=True, of_commander=True))
     inbox.put(told(refusals).encode())
     assert client.wait_for_hold().shape == (7,)

@@ -40,7 +40,7 @@ def test_ages_at_the_ends() -> None:
 
 @pytest.mark.parametrize("max_age_s", [0.02, 0.05])
 def test_states_that_do_not_come_stop_the_arm_with_advice(max_age_s: float) -> None:
-    silent = SimpleNamespace(drain=list)
+    silent = SimpleNamespace(drain=list, others=str)
     observer = Observer(
         silent,
         SimpleNamespace(),
