@@ -20,6 +20,7 @@ from skewmi.deploy.robot.backends.egm.options import EgmOptions
 from skewmi.deploy.robot.backends.egm.program import ProgramSettings
 from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.robot.egm_emulator.emulator import Emulator, EmulatorOptions
+from skewmi.deploy.robot.egm_emulator.scene_link import NODE_NAME
 from skewmi.deploy.robot.gripper.fixed import FixedGripper
 from skewmi.deploy.robot.process import free_port
 from skewmi.deploy.robot.run import serve_robot
@@ -141,6 +142,15 @@ def test_scene_states_have_the_robot_servers_clock(chain: tuple[Chain, Emulator,
     assert {stamp for stamp in scene_stamps if stamp >= min(joint_stamps)} <= joint_stamps
     # Every 20 ms, of a robot whose cycle is 4.032 ms.
     assert np.median(np.diff(sorted(joint_stamps))) == pytest.approx(20.16e6, rel=0.05)
+
+
+def test_the_bridge_announces_who_publishes_the_scene(
+    chain: tuple[Chain, Emulator, Link],
+) -> None:
+    _, _, link = chain
+    scene = link.subscribe(topics.YUMI_SCENE_STATES).wait(20.0)
+    assert describe(link).publishers[topics.YUMI_SCENE_STATES.name] == (scene.gid.hex(),)
+    assert link.graph.node_of(scene.gid) == NODE_NAME
 
 
 def test_both_arms_are_told(chain: tuple[Chain, Emulator, Link]) -> None:

@@ -17,7 +17,8 @@ from skewmi.deploy.wire import ros2_keys
 from skewmi.deploy.wire.topics import Topic
 
 MAX_TOKENS = 10_000
-"""Tokens that are remembered: whoever declares more has bad intentions."""
+MAX_TOKEN = 1_000
+"""Tokens that are remembered, and characters of each: whoever declares more has bad intentions."""
 
 
 class Graph:
@@ -86,7 +87,7 @@ class Graph:
                 self._tokens.pop(token, None)
                 self._session_of.pop(gid, None)
                 self._node_of.pop(gid, None)
-            elif len(self._tokens) < MAX_TOKENS:
+            elif len(self._tokens) < MAX_TOKENS and len(token) <= MAX_TOKEN:
                 self._tokens[token] = gid
                 self._session_of[gid] = ros2_keys.session_of_token(token)
                 self._node_of[gid] = ros2_keys.node_of_token(token)

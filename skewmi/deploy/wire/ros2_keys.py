@@ -24,6 +24,7 @@ QOS_BEST_EFFORT_1 = "2::,1:,:,:,,"
 
 _ATTACHMENT = struct.Struct("<qqB16s")
 ATTACHMENT_BYTES = _ATTACHMENT.size
+_NAME_CHARACTERS = 64
 _GID_BYTES = 16
 ATTACHMENT_BYTES = _ATTACHMENT.size
 """Length of what goes with every sample, request and reply."""
@@ -101,9 +102,14 @@ def session_of_token(token: str) -> str:
 
 
 def node_of_token(token: str) -> str:
-    """Name of the node that a token belongs to, without slashes; empty if it tells none."""
+    """Name of the node that a token belongs to, without outer slashes; empty if it tells none.
+
+    It is shown to people, and whoever declared it may have written anything: what cannot be printed
+    becomes a question mark, and the first 64 characters have to do.
+    """
     chunks = token.split("/")
-    return chunks[8].replace("%", "/").strip("/") if len(chunks) > 8 else ""
+    name = chunks[8].replace("%", "/").strip("/")[:_NAME_CHARACTERS] if len(chunks) > 8 else ""
+    return "".join(c if c.isprintable() else "?" for c in name)
 
 
 def is_token_of(token: str, kind: EntityKind, topic: Topic | Service) -> bool:

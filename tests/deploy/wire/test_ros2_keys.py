@@ -61,3 +61,19 @@ def test_attachment_is_what_zenoh_serializes():
 def test_other_attachments_are_refused(attachment):
     with pytest.raises(TransportError):
         ros2_keys.decode_attachment(attachment)
+
+
+def test_tokens_tell_node_and_topic_whatever_somebody_has_declared():
+    node = ros2_keys.Node(0, "ab12", "camera")
+    kind, topic = EntityKind.PUBLISHER, topics.YUMI_SCENE_STATES
+    token = ros2_keys.endpoint_token(node, 3, kind, topic, ros2_keys.QOS_RELIABLE_10)
+    assert ros2_keys.node_of_token(token) == "camera"
+    assert ros2_keys.node_of_token(ros2_keys.node_token(node)) == "camera"
+    assert ros2_keys.is_token_of(token, kind, topic)
+    assert not ros2_keys.is_token_of(token, EntityKind.SUBSCRIPTION, topic)
+    assert not ros2_keys.is_token_of(token, kind, topics.YUMI_STATUS)
+    odd = ros2_keys.Node(0, "ab12", "\x1b]0;owned\x07" + "x" * 1000)
+    assert ros2_keys.node_of_token(ros2_keys.node_token(odd)) == "?]0;owned?" + "x" * 54
+    for token in ("", "@ros2_lv", "@ros2_lv/0/ab12/0/3/MP/%/%"):
+        assert ros2_keys.node_of_token(token) == ""
+        assert not ros2_keys.is_token_of(token, kind, topic)
