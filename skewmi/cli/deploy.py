@@ -36,6 +36,7 @@ from skewmi.deploy.replay.live_options import LiveOptions
 from skewmi.deploy.report import DeployReport
 from skewmi.deploy.wire.domain import ros_domain
 from skewmi.outputs import check_output
+from skewmi.smoothness import LIMITS
 
 
 @dataclass(frozen=True)
@@ -185,6 +186,12 @@ def print_report(report: DeployReport, console: Console) -> None:
     if contact:
         shown = "; ".join(_contact_words(name, metrics) for name, metrics in contact.items())
         console.print(f"largest contact in the simulation: {shown}", markup=False)
+    if report.smoothness():
+        shown = "; ".join(
+            f"above {frequency:g} Hz {metrics['max']:.1%} of {metrics['limit']:.0%}"
+            for frequency, metrics in zip(LIMITS, report.smoothness().values(), strict=True)
+        )
+        console.print(f"largest power of a joint's commanded acceleration: {shown}")
     cycle = ", ".join(f"{name} {value:.2f}" for name, value in report.cycle_ms.items())
     pace = "lock-step" if report.lock_step else f"real time ({', '.join(report.granted)})"
     console.print(f"cycle, ms: {cycle}; missed {report.missed_cycles} of {report.cycles}; {pace}")

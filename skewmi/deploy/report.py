@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
+from statistics import median
 from typing import Any
 
 from skewmi.contact import QUANTITIES
 from skewmi.deploy.safety.limits import LimitUsage
 from skewmi.deploy.wire.senders import Stranger
+from skewmi.smoothness import LIMITS, name_of
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,8 @@ class EpisodeReport:
         final_observation: By field name, in the field's unit.
         contact: Largest of `skewmi.contact.QUANTITIES` in the episode, the way to the start
             included; empty if the robot cannot tell.
+        smoothness: Of the motion that the policy commanded, see `skewmi.smoothness`; empty if it
+            commanded none.
     """
 
     index: int
@@ -33,6 +37,7 @@ class EpisodeReport:
     seed: int
     final_observation: dict[str, float]
     contact: dict[str, float] = field(default_factory=dict)
+    smoothness: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass
@@ -105,6 +110,17 @@ class DeployReport:
                 metrics[name] |= {"limit": quantity.limit, "share_of_episodes_within": within}
         return metrics
 
+    def smoothness(self) -> dict[str, dict[str, float]]:
+        """Per frequency, how much of the power of the least smooth joint's acceleration lies above:
+        "median" and "max" over the episodes, and "limit"; empty if nothing moved."""
+        metrics: dict[str, dict[str, float]] = {}
+        for frequency, limit in LIMITS.items():
+            name = name_of(frequency)
+            values = [e.smoothness[name] for e in self.episodes if name in e.smoothness]
+            if values:
+                metrics[name] = {"median": median(values), "max": max(values), "limit": limit}
+        return metrics
+
     def as_dict(self) -> dict[str, Any]:
         """JSON-serialisable, for `--json`; limits as fractions, times in ms."""
         content = asdict(self)
@@ -116,5 +132,6 @@ class DeployReport:
             "success_rate": self.success_rate,
             "faulted": self.faulted,
             "contact": self.contact(),
+            "smoothness": self.smoothness(),
             **content,
         }

@@ -105,6 +105,7 @@ class EpisodeRunner:
             seed,
             dict(zip(names, map(float, final), strict=True)),
             {} if at_rest is None else dict(at_rest.contact),
+            self._policy.smoothness(),
         )
         return report, ending.go_on
 

@@ -13,8 +13,9 @@ from skewmi.deploy.session.robot_client import RobotClient
 from skewmi.deploy.session.stream import ChunkStream
 from skewmi.deploy.session.timing import CycleTimes
 from skewmi.policy_io import Array, Policy
+from skewmi.smoothness import smoothness
 from skewmi.success import inside_region
-from skewmi.trajectory import CYCLE_NS, CYCLE_TICKS, JointTrajectory
+from skewmi.trajectory import CYCLE_NS, CYCLE_TICKS, GRID_S, JointTrajectory
 
 
 class PolicyMotion:
@@ -80,11 +81,14 @@ class PolicyMotion:
         self._held_steps = 0
         self._acted: tuple[Array, Array] | None = None
         self._begun = False
+        self._chunk: JointTrajectory | None = None
+        self._accelerations: list[Array] = []
 
     def begin(self, q: Array, state: ArmState) -> None:
         """See `Motion`: the first time the policy forgets, too."""
         del state
         self._planner.reset(q)
+        self._chunk = None
         if self._begun:
             self.commander.resume()
             return
@@ -114,6 +118,9 @@ class PolicyMotion:
         else:
             self.commander.watch(state)
         chunk = self._planner.step(splice)
+        if self._chunk is not None:
+            self._accelerations.append(self._chunk.a[:splice])
+        self._chunk = chunk
         if self._planner.held_back is not None:
             self.held_back += 1
             self.held_back_reason = self._planner.held_back
@@ -128,6 +135,12 @@ class PolicyMotion:
             self._robot.open_gripper(self.commander.opening, state.stamp_ns)
         self._topics.publish(state.stamp_ns, observation, action)
         self._times.lap("record")
+
+    def smoothness(self) -> dict[str, float]:
+        """Of the commanded motion so far: see `skewmi.smoothness`; empty if there was none."""
+        if not self._accelerations:
+            return {}
+        return smoothness(np.concatenate(self._accelerations), GRID_S)
 
     def _observe(self, state: ArmState) -> Array:
         hand = self._observer.hand_position(state)
