@@ -22,7 +22,7 @@ from skewmi.deploy.replay.data import (
     tracking_error,
 )
 from skewmi.deploy.wire import messages, topics
-from skewmi.deploy.wire.messages import JointStates, Status
+from skewmi.deploy.wire.messages import JointStates, Status, refused_stamps
 from skewmi.errors import ConfigurationError, TransportError
 from skewmi.robot_models import yumi
 from skewmi.success import first_success_step, inside_region
@@ -75,6 +75,7 @@ class RunAssembler:
             )
         }
         self._fingers = SeriesBuffer(only=yumi.finger_names("right")[:1])
+        self._left = SeriesBuffer(only=yumi.joint_names("left"))
         self._statuses: list[Status] = []
         self._last_message: dict[str, str] = {}
         self._episode: list[tuple[float, bool]] = []
@@ -137,6 +138,7 @@ class RunAssembler:
             commanded=commanded,
             measured=measured,
             fingers=self._fingers.take(origin_ns),
+            left=self._left.take(origin_ns),
             scene=self._series[topics.YUMI_SCENE_STATES.name].take(origin_ns),
             observation=observation,
             action=self._series[topics.POLICY_ACTION.name].take(origin_ns),
@@ -157,10 +159,18 @@ class RunAssembler:
         if set(self._names) <= set(joints.names):
             self._joints.append(joints)
             self._fingers.add(joints)
+            self._left.add(joints)
 
     def _take_status(self, status: Status) -> None:
         # States are repeated for those who come late; a refusal is told once.
         news = self._last_message.get(status.name) != status.message
+        try:
+            refused_ns = refused_stamps(status)
+        except TransportError:
+            self.malformed += 1
+            return
+        for stamp_ns in refused_ns:
+            self._command.refuse(stamp_ns)
         if news or status.values.get("refusal"):
             self._last_message[status.name] = status.message
             self._statuses.append(status)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,9 +18,15 @@ _SET_BACK_NS = 1_000_000_000
 
 
 class CommandBuffer:
-    """The command as executed: each chunk until the next one is due, the last to its end."""
+    """The command as executed: each chunk until the next one is due, the last to its end.
+
+    A chunk that the robot server has refused is not executed: the one before it is followed on,
+    into its tail. The refusal is told before the chunk is due, so that nothing of it is shown if
+    `advance` does not go further than what has been heard.
+    """
 
     def __init__(self) -> None:
+        self._waiting: deque[TrajectoryChunk] = deque()
         self._chunk: TrajectoryChunk | None = None
         self._shown = 0
         self._times: list[NDArray[np.int64]] = []
@@ -30,12 +38,22 @@ class CommandBuffer:
 
     def add(self, chunk: TrajectoryChunk) -> None:
         """A newer chunk."""
-        self._show(before_ns=chunk.stamp_ns)
-        self._chunk, self._shown = chunk, 0
+        self._waiting.append(chunk)
         self.stamps_ns.append(chunk.stamp_ns)
+
+    def refuse(self, stamp_ns: int) -> None:
+        """The robot server does not execute the chunk with this stamp."""
+        for chunk in reversed(self._waiting):
+            if chunk.stamp_ns == stamp_ns:
+                self._waiting.remove(chunk)
+                return
 
     def advance(self, now_ns: int | None) -> None:
         """The arm has followed the newest chunk up to a time; None: to its end."""
+        while self._waiting and (now_ns is None or self._waiting[0].stamp_ns <= now_ns):
+            chunk = self._waiting.popleft()
+            self._show(before_ns=chunk.stamp_ns)
+            self._chunk, self._shown = chunk, 0
         self._show(before_ns=None if now_ns is None else now_ns + 1)
 
     def take(self, origin_ns: int) -> Motion:

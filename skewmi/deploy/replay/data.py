@@ -101,6 +101,8 @@ class Run:
     commanded: Motion
     measured: Motion
     fingers: Series
+    left: Series
+    """Joints of the left arm, rad; without names if nobody measures it."""
     scene: Series
     observation: Series
     action: Series

@@ -39,13 +39,32 @@ class RobotView:
         """Move the robot; its shapes are logged with the first motion."""
         if not len(motion.time_s):
             return
-        if self._tree is None:
-            self._tree = _log_shapes(self._canvas.recording, self._name, ghost=self._ghost)
+        self._lay_out()
         for index, joint in enumerate(yumi.joint_names("right")):
             self._turn(joint, motion.time_s, motion.q[:, index])
         if fingers.names:
             for joint in yumi.finger_names("right"):
                 self._turn(joint, fingers.time_s, fingers.values[:, 0])
+
+    def draw_left(self, left: Series) -> None:
+        """Move the left arm as measured; until then it hangs where simulation and guard have it."""
+        if len(left.time_s):
+            self._lay_out()
+            for index, joint in enumerate(left.names):
+                self._turn(joint, left.time_s, left.values[:, index])
+
+    def _lay_out(self) -> None:
+        """Log the shapes, once."""
+        if self._tree is not None:
+            return
+        self._tree = _log_shapes(self._canvas.recording, self._name, ghost=self._ghost)
+        if not self._ghost:
+            for joint, value in zip(yumi.joint_names("left"), yumi.HOME["left"], strict=True):
+                found = self._tree.get_joint_by_name(joint)
+                assert found is not None, joint
+                self._canvas.style(
+                    f"/robot_{self._name}/joints/{joint}", found.compute_transform(value)
+                )
 
     def _turn(self, joint: str, time_s: Array, values: Array) -> None:
         found = self._tree.get_joint_by_name(joint)

@@ -12,7 +12,7 @@ import numpy as np
 import rerun as rr
 
 from skewmi.deploy.replay.blueprint import blueprint
-from skewmi.deploy.replay.data import Run, Subject
+from skewmi.deploy.replay.data import Motion, Run, Subject
 from skewmi.deploy.replay.scene import PathView, RobotView, SceneView
 from skewmi.deploy.replay.style import BOX, JOINT_COLORS, Array, Canvas
 
@@ -43,13 +43,15 @@ class RunView:
         self._commanded = RobotView(canvas, "commanded", ghost=True)
         self._paths = PathView(canvas, self._workspace, trail=live)
         self._scene = None if subject.geometry is None else SceneView(canvas, subject.geometry)
+        self._commanding = False
         self._laid_out: tuple[bool, tuple[str, ...]] | None = None
 
     def draw(self, run: Run) -> None:
         """Draw a stretch of the run."""
         self._lay_out(run)
         self._measured.draw(run.measured, run.fingers)
-        self._commanded.draw(run.commanded, run.fingers)
+        self._measured.draw_left(run.left)
+        self._draw_ghost(run)
         self._paths.draw(run)
         if self._scene is not None:
             self._scene.draw(run.scene)
@@ -58,6 +60,14 @@ class RunView:
         self._draw_policy(run)
         self._draw_scene_joints(run)
         self._draw_events(run)
+
+    def _draw_ghost(self, run: Run) -> None:
+        """The arm as commanded; until the first command, the measured one hides it."""
+        if not self._commanding:
+            until_s = run.commanded.time_s[0] if len(run.commanded.time_s) else math.inf
+            self._commanded.draw(_before(run.measured, until_s), run.fingers)
+            self._commanding = math.isfinite(until_s)
+        self._commanded.draw(run.commanded, run.fingers)
 
     def _lay_out(self, run: Run) -> None:
         """Send the blueprint; again only if something new is to be seen."""
@@ -157,3 +167,10 @@ class RunView:
             times, texts, levels = zip(*events, strict=True)
             columns = rr.TextLog.columns(text=texts, level=levels)
             self._canvas.columns("/events", np.array(times), columns)
+
+
+def _before(motion: Motion, until_s: float) -> Motion:
+    rows = motion.time_s < until_s
+    return Motion(
+        *(values[rows] for values in (motion.time_s, motion.q, motion.v, motion.a, motion.jerk))
+    )

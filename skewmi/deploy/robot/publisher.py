@@ -104,6 +104,9 @@ class StatePublisher:
             refused=controller.refusals.count,
             refusal="; ".join(refusal.reason for refusal in refusals[:_SHOWN_REFUSALS]),
             refused_stamps_ns=tuple(refusal.stamp_ns for refusal in refusals),
+            commander_refused_stamps_ns=tuple(
+                r.stamp_ns for r in refusals if r.of_commander and r.stamp_ns is not None
+            ),
             out_of_step=all(r.out_of_step for r in refusals if r.of_commander),
             refused_of_commander=noted.of_commander,
             broken_of_commander=noted.broken_of_commander,

@@ -7,12 +7,14 @@ from dataclasses import dataclass, field
 
 from skewmi.deploy.robot.states import ServerEvent, ServerState
 from skewmi.deploy.wire.messages import (
+    COMMANDER_REFUSED_STAMPS,
     ERROR,
     OK,
     WARN,
     Status,
     decode_status,
     encode_status,
+    refused_stamps,
 )
 from skewmi.errors import TransportError
 
@@ -24,7 +26,7 @@ _COMMON = frozenset(
     {
         *("state", "reason", "accepted", "refused", "refusal", "refused_stamps_ns"),
         *("out_of_step", "refused_of_commander", "commander", "slips", "from", "event"),
-        *("broken_of_commander", "last_refusal", "dropped"),
+        *("broken_of_commander", "last_refusal", "dropped", COMMANDER_REFUSED_STAMPS),
     }
 )
 """Keys that every robot server tells."""
@@ -50,6 +52,9 @@ class RobotStatus:
     """Reasons of those refused since the last status, the commander's first."""
     refused_stamps_ns: tuple[int | None, ...] = ()
     """Of the chunks among them."""
+    commander_refused_stamps_ns: tuple[int, ...] = ()
+    """Those of them that are of the commander's chunks: of what it has sent, these are not
+    executed."""
     out_of_step: bool = True
     """Whether the commander's refused ones came too late or after a lost one, and were fine
     otherwise."""
@@ -96,6 +101,7 @@ class RobotStatus:
             "broken_of_commander": str(self.broken_of_commander),
             "last_refusal": self.last_refusal,
             "dropped": str(self.dropped),
+            COMMANDER_REFUSED_STAMPS: " ".join(map(str, self.commander_refused_stamps_ns)),
         }
         values = {**self.told, **values}
         if self.source is not None and self.event is not None:
@@ -131,6 +137,7 @@ class RobotStatus:
                 broken_of_commander=int(values.get("broken_of_commander", 0)),
                 last_refusal=values.get("last_refusal", ""),
                 dropped=int(values.get("dropped", 0)),
+                commander_refused_stamps_ns=refused_stamps(status),
                 source=ServerState(values["from"]) if "from" in values else None,
                 event=ServerEvent(values["event"]) if "event" in values else None,
             )

@@ -63,6 +63,24 @@ class Status:
     values: dict[str, str] = field(default_factory=dict)
 
 
+COMMANDER_REFUSED_STAMPS = "commander_refused_stamps_ns"
+"""Value of a robot server's status: stamps of the chunks of the arm's commander that it has refused
+since the last status, and so does not execute; decimal, with spaces between."""
+
+
+def refused_stamps(status: Status) -> tuple[int, ...]:
+    """Stamps of refused chunks of the commander's, ns; see `COMMANDER_REFUSED_STAMPS`.
+
+    Raises:
+        TransportError: They are no numbers.
+    """
+    text = status.values.get(COMMANDER_REFUSED_STAMPS, "")
+    try:
+        return tuple(int(stamp) for stamp in text.split())
+    except ValueError as error:
+        raise TransportError(f"stamps of refused chunks cannot be read: {error}") from error
+
+
 @dataclass(frozen=True)
 class TriggerReply:
     """Answer of a service."""
