@@ -29,10 +29,11 @@ def spectrum(acceleration: Array, dt: float) -> tuple[Array, Array]:
         Frequencies, Hz, shape (n // 2 + 1,); power of each, shape (n // 2 + 1, d), whose sum is n
         times that of the squares of the accelerations.
     """
-    power = np.abs(np.fft.rfft(acceleration, axis=0)) ** 2
+    power: Array = np.abs(np.fft.rfft(acceleration, axis=0)) ** 2
     # All but the mean and the highest stand for two frequencies each.
     power[1 : (len(acceleration) + 1) // 2] *= 2.0
-    return np.fft.rfftfreq(len(acceleration), dt), power
+    frequencies = np.asarray(np.fft.rfftfreq(len(acceleration), dt), dtype=np.float64)
+    return frequencies, power
 
 
 def power_above(acceleration: Array, dt: float, frequency_hz: float) -> Array:
@@ -50,7 +51,29 @@ def power_above(acceleration: Array, dt: float, frequency_hz: float) -> Array:
         return np.zeros(acceleration.shape[1])
     frequencies, power = spectrum(acceleration, dt)
     above: Array = power[frequencies > frequency_hz].sum(axis=0)
-    return above / np.maximum(power.sum(axis=0), np.finfo(np.float64).tiny)
+    above /= np.maximum(power.sum(axis=0), np.finfo(np.float64).tiny)
+    return above
+
+
+def bands(acceleration: Array, dt: float, highest_hz: int) -> Array:
+    """Fraction of the power of all joints' accelerations in each band of 1 Hz.
+
+    Args:
+        acceleration: See `spectrum`.
+        dt: Time between two samples, s.
+        highest_hz: End of the last band but one.
+
+    Returns:
+        Shape (highest_hz + 1,): from i to i + 1 Hz, and in the last all that is above; the sum is
+        1, or 0 without any motion.
+    """
+    fractions = np.zeros(highest_hz + 1)
+    if len(acceleration):
+        frequencies, power = spectrum(acceleration, dt)
+        band = np.minimum(frequencies.astype(int), highest_hz)
+        np.add.at(fractions, band, power.sum(axis=1))
+        fractions /= max(float(power.sum()), np.finfo(np.float64).tiny)
+    return fractions
 
 
 def name_of(frequency_hz: float) -> str:

@@ -34,6 +34,7 @@ ROOMS: dict[str, set[str]] = {
         "robot_models",
         "command_integrator",
         "success",
+        "smoothness",
         "deploy.wire",
         "deploy.safety",
         "deploy.motion",
@@ -47,6 +48,7 @@ ROOMS: dict[str, set[str]] = {
     "replay": {
         "policy_io",
         "success",
+        "smoothness",
         "robot_models",
         "child",
         "outputs",

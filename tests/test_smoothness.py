@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skewmi.smoothness import LIMITS, name_of, power_above, smoothness, spectrum
+from skewmi.smoothness import LIMITS, bands, name_of, power_above, smoothness, spectrum
 
 DT = 0.004
 
@@ -41,3 +41,16 @@ def test_nothing_moves_nothing_shakes() -> None:
     assert smoothness(np.zeros((10, 7)), DT) == {}
     assert smoothness(np.zeros((0, 7)), DT) == {}
     assert {name_of(f) for f in LIMITS} == {"power_above_10_hz", "power_above_20_hz"}
+
+
+@settings(max_examples=50, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), n=st.integers(1, 90))
+def test_bands_are_the_power_between_two_frequencies(seed: int, n: int) -> None:
+    a = np.random.default_rng(seed).normal(size=(n, 3))
+    frequencies, power = spectrum(a, DT)
+    found = bands(a, DT, 30)
+    assert found.sum() == pytest.approx(1.0)
+    for low in range(30):
+        inside = (frequencies >= low) & (frequencies < low + 1)
+        assert found[low] == pytest.approx(power[inside].sum() / power.sum())
+    assert not bands(np.zeros((5, 7)), DT, 30).any()

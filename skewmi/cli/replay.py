@@ -17,6 +17,7 @@ import tyro
 from rich.console import Console
 
 from skewmi.errors import ConfigurationError
+from skewmi.smoothness import LIMITS
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,11 @@ def run_replay(options: ReplayCommand) -> int:
         print(f"success at {time_s:.1f} s")
     for name, share in report.limit_use.items():
         print(f"largest commanded {name}: {100 * share:.0f} % of its limit")
+    for (frequency, limit), value in zip(LIMITS.items(), report.smoothness.values(), strict=False):
+        print(
+            f"power of the commanded acceleration above {frequency:g} Hz, least smooth joint: "
+            f"{value:.1%} ({limit:.0%} count as smooth)"
+        )
     if report.tracking_error_mm is not None:
         print(
             f"largest distance from commanded to measured hand: {report.tracking_error_mm:.1f} mm"

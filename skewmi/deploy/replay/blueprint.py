@@ -74,6 +74,10 @@ def _tabs(policy: bool, scene: tuple[str, ...], lately: Any) -> list[Any]:
             row_shares=[3, 2, 2, 2],
             name="joints against limits",
         ),
+        rrb.BarChartView(
+            origin="/joints/spectrum",
+            name="commanded acceleration, % of its power per Hz (last bar: 30 Hz and more)",
+        ),
         rrb.Vertical(
             curves("/hand/commanded", "hand in workspace box, commanded"),
             curves("/hand/measured", "hand in workspace box, measured"),

@@ -15,6 +15,8 @@ from skewmi.deploy.replay.assembler import understand
 from skewmi.deploy.replay.data import Run
 from skewmi.deploy.replay.view import RunView
 from skewmi.outputs import check_output, written_aside
+from skewmi.smoothness import smoothness
+from skewmi.trajectory import GRID_S
 
 APPLICATION = "skewmi_replay"
 
@@ -34,6 +36,8 @@ class ReplayReport:
     """When the policy succeeded, s after the first stamp; once per episode."""
     limit_use: dict[str, float]
     """Largest |commanded| as a fraction of its limit, over all joints."""
+    smoothness: dict[str, float]
+    """Of the commanded motion, see `skewmi.smoothness`; empty without any."""
     tracking_error_mm: float | None
     """Largest distance from commanded to measured hand, mm."""
     notes: tuple[str, ...] = ()
@@ -98,6 +102,7 @@ def _report(run: Run, believed: Believed) -> ReplayReport:
         complete=recording.complete,
         success_s=run.success_s,
         limit_use=use,
+        smoothness=smoothness(motion.a, GRID_S),
         tracking_error_mm=error_mm,
         notes=believed.notes,
     )

@@ -11,15 +11,20 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from skewmi.deploy.replay.blueprint import blueprint
+from skewmi.deploy.replay.blueprint import TRAIL_S, blueprint
 from skewmi.deploy.replay.data import Motion, Run, Subject
 from skewmi.deploy.replay.scene import PathView, RobotView, SceneView
-from skewmi.deploy.replay.style import BOX, JOINT_COLORS, Array, Canvas
+from skewmi.deploy.replay.style import BOX, JOINT_COLORS, TIMELINE, Array, Canvas
+from skewmi.smoothness import bands
+from skewmi.trajectory import GRID_S
 
 _JOINT_LABELS = tuple(f"joint {number}" for number in (1, 2, 7, 3, 4, 5, 6))
 _AXES = ("x", "y", "z")
 _AXIS_COLORS = (JOINT_COLORS[0], JOINT_COLORS[3], JOINT_COLORS[5])
 _PULSE_S = 0.3
+SPECTRUM_HZ = 30
+"""Highest frequency that is drawn by itself; the last bar is all above."""
+_SPECTRUM_SAMPLES = round(TRAIL_S / GRID_S)
 _LEVELS = {0: "INFO", 1: "WARN", 2: "ERROR"}
 
 
@@ -44,6 +49,7 @@ class RunView:
         self._paths = PathView(canvas, self._workspace, trail=live)
         self._scene = None if subject.geometry is None else SceneView(canvas, subject.geometry)
         self._commanding = False
+        self._accelerations: Array = np.zeros((0, len(_JOINT_LABELS)))
         self._laid_out: tuple[bool, tuple[str, ...]] | None = None
 
     def draw(self, run: Run) -> None:
@@ -56,6 +62,7 @@ class RunView:
         if self._scene is not None:
             self._scene.draw(run.scene)
         self._draw_joints(run)
+        self._draw_spectrum(run)
         self._draw_hand(run)
         self._draw_policy(run)
         self._draw_scene_joints(run)
@@ -100,6 +107,17 @@ class RunView:
                 f"{path}/of_limit", motion.time_s, values, _JOINT_LABELS, JOINT_COLORS
             )
             self._canvas.bounds(f"{path}/limit", motion.time_s, (-1.0, 1.0))
+
+    def _draw_spectrum(self, run: Run) -> None:
+        """At which frequencies the joints are accelerated, so far or lately: bars of 1 Hz."""
+        if not len(run.commanded.time_s):
+            return
+        lately = np.concatenate([self._accelerations, run.commanded.a])
+        self._accelerations = lately[-_SPECTRUM_SAMPLES:] if self._live else lately
+        percent = 100.0 * bands(self._accelerations, GRID_S, SPECTRUM_HZ)
+        self._recording.set_time(TIMELINE, duration=float(run.commanded.time_s[-1]))
+        middles = np.arange(SPECTRUM_HZ + 1) + 0.5
+        self._recording.log("/joints/spectrum", rr.BarChart(percent, abscissa=middles))
 
     def _draw_hand(self, run: Run) -> None:
         """Hand coordinates as fractions of the workspace box, and how far it lags."""
