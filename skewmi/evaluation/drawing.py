@@ -9,7 +9,6 @@ import numpy as np
 
 from skewmi.outputs import written_aside
 from skewmi.policy_io import Array, PolicyLayout
-from skewmi.success import inside_region
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -72,7 +71,9 @@ def draw_region(
     columns: Sequence[int],
     scale: tuple[float, float] = (1.0, 1.0),
 ) -> bool:
-    """Outline of the reward region where it depends on nothing but these two fields.
+    """Outline of what the reward region allows these two fields to be, whatever the others are.
+
+    A state is rewarded only if this holds in every plane.
 
     Args:
         axis: To draw on.
@@ -81,16 +82,24 @@ def draw_region(
         scale: Units of the axes per unit of the fields.
 
     Returns:
-        Whether there was one to draw.
+        Whether there was one to draw: whether it bounds any of the two.
     """
-    names = [field.name for field in layout.state_fields]
-    used = {names.index(name) for ball in layout.reward_region for name in ball.fields}
-    if not used or not used <= set(columns):
-        return False
+    names = [layout.state_fields[column].name for column in columns]
     extent, plane = raster(layout, columns, 600)
-    states = np.zeros((*plane.shape[:2], layout.state_dim))
-    states[..., columns] = plane
-    inside = inside_region(layout, states).astype(float)
+    inside, bounded = np.ones(plane.shape[:2]), False
+    for ball in layout.reward_region:
+        # Of a ball in other fields, too, this is the shadow.
+        shown = [k for k, name in enumerate(ball.fields) if name in names]
+        if shown:
+            bounded = True
+            way = plane[..., [names.index(ball.fields[k]) for k in shown]]
+            distance = np.linalg.norm(way - np.array(ball.centre)[shown], axis=-1)
+            inside[distance > ball.radius] = 0.0
+    if not bounded:
+        return False
+    # Closed where it reaches the end of a field's range, too.
+    inside[[0, -1]] = 0.0
+    inside[:, [0, -1]] = 0.0
     x, y = np.linspace(extent[0], extent[1], 600), np.linspace(extent[2], extent[3], 600)
     axis.contour(
         x * scale[0], y * scale[1], inside, levels=[0.5], colors=ORANGE, linewidths=2.0, zorder=3

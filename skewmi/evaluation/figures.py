@@ -115,6 +115,7 @@ def draw_coverage(
     if {"hand_y", "hand_z"} <= set(names):
         panels.append([names.index("hand_y"), names.index("hand_z")])
     figure, axes = drawing.new_axes(1, len(panels), 6.5 * len(panels), 5.0)
+    outlined = []
     for axis, columns in zip(axes[0], panels, strict=True):
         plane = layout.state_dim == 2
         if plane and reachable is not None:
@@ -123,16 +124,16 @@ def draw_coverage(
             flat[:, columns[0]], flat[:, columns[1]], c=episodes, s=2.0, linewidths=0,
             cmap="viridis", rasterized=True,
         )  # fmt: skip
-        drawing.draw_region(axis, layout, columns)
+        outlined.append(drawing.draw_region(axis, layout, columns))
         for column, label in zip(columns, (axis.set_xlabel, axis.set_ylabel), strict=True):
             field = layout.state_fields[column]
             label(f"{field.name} [{field.unit}]")
         if plane:
             axis.set_aspect("equal")
     figure.colorbar(points, ax=axes[0], label="trajectory", shrink=0.8)
+    legend = "; rewarded states lie inside orange" if any(outlined) else ""
     figure.suptitle(
-        f"{layout.task}: states visited in {len(states):,} trajectories (reward region orange)",
-        fontsize=11,
+        f"{layout.task}: states visited in {len(states):,} trajectories{legend}", fontsize=11
     )
     drawing.save(figure, path, dpi)
     return path

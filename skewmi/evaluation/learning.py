@@ -150,7 +150,9 @@ def draw_learning(
     converged = sum(record.converged_at is not None for record in records)
     figure.suptitle(
         f"{first.config.task}, preset {first.config.preset}: {converged} of {len(records)} "
-        f"run{'s' * (len(records) > 1)} converged; visited states of seed {shown.config.seed}",
+        f"run{'s' * (len(records) > 1)} converged"
+        + f"; visited states of seed {shown.config.seed}"
+        * bool(shown_planes),
         fontsize=11,
     )
     drawing.save(figure, path, dpi)
@@ -200,10 +202,12 @@ def _draw_discoveries(axis: Axes, records: Sequence[RunRecord], rows: Sequence[s
 
 
 def _planes(layout: PolicyLayout, planes: Sequence[tuple[str, str]]) -> list[tuple[int, int]]:
-    """Pairs of state fields worth a map: the task's own, and the hand's vertical plane."""
+    """Pairs of state fields worth a map: the task's own, and the hand's vertical plane; of a task
+    with two state fields these."""
     names = [field.name for field in layout.state_fields]
     pairs = (*planes, ("hand_y", "hand_z"))
-    return [(names.index(u), names.index(v)) for u, v in pairs if {u, v} <= set(names)]
+    found = [(names.index(u), names.index(v)) for u, v in pairs if {u, v} <= set(names)]
+    return found or ([(0, 1)] if len(names) == 2 else [])
 
 
 def _draw_visits(axis: Axes, layout: PolicyLayout, states: Array, columns: tuple[int, int]) -> None:
@@ -220,7 +224,8 @@ def _draw_visits(axis: Axes, layout: PolicyLayout, states: Array, columns: tuple
     image = axis.hist2d(x, y, bins=(120, 80), cmap="viridis", norm=LogNorm())[3]
     image.set_rasterized(True)
     if drawing.draw_region(axis, layout, columns, (scales[0], scales[1])):
-        axis.set_title("orange: rewarded", fontsize=8, color=drawing.ORANGE, loc="left")
+        title = "rewarded states lie inside orange"
+        axis.set_title(title, fontsize=8, color=drawing.ORANGE, loc="left")
     _draw_box(axis, layout, columns, (scales[0], scales[1]))
     axis.use_sticky_edges = False
     axis.margins(0.02)

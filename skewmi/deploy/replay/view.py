@@ -70,11 +70,17 @@ class RunView:
 
     def _draw_ghost(self, run: Run) -> None:
         """The arm as commanded; until the first command, the measured one hides it."""
+        motion = run.commanded
         if not self._commanding:
-            until_s = run.commanded.time_s[0] if len(run.commanded.time_s) else math.inf
-            self._commanded.draw(_before(run.measured, until_s), run.fingers)
-            self._commanding = math.isfinite(until_s)
-        self._commanded.draw(run.commanded, run.fingers)
+            self._commanding = len(motion.time_s) > 0
+            held = run.measured.time_s < (motion.time_s[0] if self._commanding else math.inf)
+            nothing = run.measured.q[held, :0]
+            motion = Motion(
+                np.concatenate([run.measured.time_s[held], motion.time_s]),
+                np.concatenate([run.measured.q[held], motion.q]),
+                *[nothing] * 3,
+            )
+        self._commanded.draw(motion, run.fingers)
 
     def _lay_out(self, run: Run) -> None:
         """Send the blueprint; again only if something new is to be seen."""
@@ -185,10 +191,3 @@ class RunView:
             times, texts, levels = zip(*events, strict=True)
             columns = rr.TextLog.columns(text=texts, level=levels)
             self._canvas.columns("/events", np.array(times), columns)
-
-
-def _before(motion: Motion, until_s: float) -> Motion:
-    rows = motion.time_s < until_s
-    return Motion(
-        *(values[rows] for values in (motion.time_s, motion.q, motion.v, motion.a, motion.jerk))
-    )

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rerun.chunk import RrdReader
+from drawn import drawn, rows
 from scripted_open_press_close import ScriptedOpenPressClose
 
 from skewmi.cli.main import main
@@ -55,16 +55,6 @@ class Scripted(ScriptedOpenPressClose):
         return super().act(observation)
 
 
-def rows(path: Path) -> dict[str, int]:
-    """Number of samples by entity, static ones left out."""
-    counts: dict[str, int] = {}
-    for chunk in RrdReader(path).stream().to_chunks():
-        if not chunk.is_static:
-            entity = str(chunk.entity_path)
-            counts[entity] = counts.get(entity, 0) + chunk.num_rows
-    return counts
-
-
 @pytest.fixture(scope="module")
 def deployed(tmp_path_factory: pytest.TempPathFactory) -> tuple[DeployReport, Path, Path]:
     """Two episodes in lock-step: report, recording, what the live view showed."""
@@ -96,6 +86,28 @@ def test_live_view_holds_every_sample_of_the_replay(
     for entity in ("/joints/jerk/of_limit", "/world/hand/commanded", "/policy/action/fields"):
         assert live[entity] == expected[entity] > 100
     assert live["/world/path/measured"] > 5
+
+
+def test_what_is_drawn_is_the_run_of_the_report(
+    deployed: tuple[DeployReport, Path, Path], tmp_path: Path
+) -> None:
+    report, recording, shown = deployed
+    replayed = tmp_path / "replay.rrd"
+    write_replay(recording, replayed)
+    for path in (replayed, shown):
+        for quantity in ("position", "velocity", "acceleration", "jerk"):
+            used = getattr(report.usage, quantity)
+            largest = np.abs(drawn(path, f"/joints/{quantity}/of_limit")).max()
+            # The report counts braking tails, too, which nothing has executed.
+            assert 0.5 * used < largest <= used + 1e-6, quantity
+        observations = drawn(path, "/policy/observation")
+        finals = [list(episode.final_observation.values()) for episode in report.episodes]
+        ends = np.cumsum([episode.steps + 1 for episode in report.episodes]) - 1
+        np.testing.assert_allclose(observations[ends], finals, atol=1e-9)
+        actions = drawn(path, "/policy/action/fields")
+        assert len(actions) == sum(episode.steps for episode in report.episodes)
+        pulses = drawn(path, "/policy/observation_in_range/success")
+        assert len(pulses) == 4 * report.successes
 
 
 def in_pieces(recording: Path, size: int) -> list[Run]:
