@@ -115,9 +115,12 @@ class ServiceRounds:
         self._others = deque(others)
 
     def serve(self) -> None:
-        """Answer what may be answered in this cycle."""
+        """Answer what may be answered in this cycle: of the others at least one service is asked,
+        so that a flood of what comes first leaves them something."""
         until_ns = time.monotonic_ns() + SERVICES_NS
-        for service in (*self._first, *self._others):
+        for service in self._first:
+            service.poll(until_ns)
+        for service in self._others:
             service.poll(until_ns)
             if time.monotonic_ns() > until_ns:
                 break
