@@ -74,6 +74,7 @@ class ControlLaw:
         self._reference: Target | None = None
         self._filtered = np.zeros(7)
         self._ramp_out: Array | None = None
+        self._braked_s = 0.0
 
     def step(self, reference: ReferencePacket | None) -> Target:
         """One cycle in a session.
@@ -103,10 +104,13 @@ class ControlLaw:
     def brake(self) -> Target:
         """One cycle after the end of a session: the speed goes to zero and stays there."""
         if self._ramp_out is None:
-            self._ramp_out = self.speed * (self._period_s / self._settings.ramp_out_s)
-        step = np.minimum(np.abs(self._ramp_out), np.abs(self.speed))
+            self._ramp_out, self._braked_s = self.speed, 0.0
+        self._braked_s += self._period_s
+        # By time and not by what the speed has become: of a speed near zero, rounding of the
+        # position may never let anything be taken away.
+        left = max(0.0, 1.0 - self._braked_s / self._settings.ramp_out_s)
         self.utilization = 0.0
-        self._move(self.speed - np.sign(self.speed) * step)
+        self._move(left * self._ramp_out)
         return self._delayed()
 
     @property

@@ -6,6 +6,8 @@ from math import degrees, exp, radians
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from skewmi.deploy.robot.backends.egm.packets import ReferencePacket
 from skewmi.deploy.robot.backends.egm.program import ProgramSettings
@@ -15,8 +17,8 @@ from skewmi.errors import ConfigurationError
 PERIOD_S = 0.004032
 
 
-def law(lag_s: float = 0.0, **settings: float) -> ControlLaw:
-    return ControlLaw(ProgramSettings(**settings), np.zeros(7), PERIOD_S, lag_s)  # type: ignore[arg-type]
+def law(lag_s: float = 0.0, **options: float) -> ControlLaw:
+    return ControlLaw(ProgramSettings(**options), np.zeros(7), PERIOD_S, lag_s)  # type: ignore[arg-type]
 
 
 def reference(q: np.ndarray | float, v: np.ndarray | float | None = None) -> ReferencePacket:
@@ -59,6 +61,25 @@ def test_with_feed_forward_nothing_is_left() -> None:
     one = law(gain=5.0)
     last = drive(one, 0.3, 3.0, feed_forward=True)
     assert last - one.desired[0] == pytest.approx(-0.3 * PERIOD_S, rel=1e-3)
+
+
+@settings(deadline=None, max_examples=200)
+@given(
+    q=st.floats(-2.0, 2.0),
+    speed=st.floats(-1.0, 1.0) | st.floats(-1e-12, 1e-12),
+    ramp_out_s=st.floats(0.005, 1.0),
+)
+def test_it_rests_after_the_ramp_whatever_its_speed(
+    q: float, speed: float, ramp_out_s: float
+) -> None:
+    """A speed of one rounding of the position a cycle, too, which cannot be halved."""
+    one = law(gain=20.0, ramp_in_s=0.005, low_pass_hz=100.0, ramp_out_s=ramp_out_s)
+    one.rest_at(np.full(7, q))
+    for _ in range(5):
+        one.step(reference(np.full(7, q), speed))
+    for _ in range(int(ramp_out_s / PERIOD_S) + 2):
+        one.brake()
+    assert not one.speed.any()
 
 
 def test_without_feed_forward_it_does_not_run_on() -> None:
