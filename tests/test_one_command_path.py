@@ -99,6 +99,7 @@ class RecordedArm:
 
     def __init__(self, hands: Array) -> None:
         self.hands, self.look, self.record = hands, 0, Record()
+        self.a = np.zeros((CYCLE_TICKS + 1, 7))
         self.integrator: Any = None
         self._begin_w = self._target_w = self._line_end_w = hands[0]
         self._begin_ns, self._duration_ns = 0, 1
