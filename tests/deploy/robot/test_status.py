@@ -53,7 +53,13 @@ def test_what_is_encoded_is_decoded(state, counts, texts, stamps, late, commande
 
 
 def test_keys_and_level_on_the_wire_are_what_others_read() -> None:
-    status = RobotStatus(7, ServerState.HOLDING, "armed", refused_stamps_ns=(5, None))
+    status = RobotStatus(
+        7,
+        ServerState.HOLDING,
+        "armed",
+        refused_stamps_ns=(5, None),
+        commander_refused_stamps_ns=(5, 9),
+    )
     sent = decode_status(status.encode())
     assert (sent.name, sent.level, sent.message) == ("skewmi_robot", OK, "holding: armed")
     assert sent.values == {
@@ -70,6 +76,7 @@ def test_keys_and_level_on_the_wire_are_what_others_read() -> None:
         "broken_of_commander": "0",
         "last_refusal": "",
         "dropped": "0",
+        "commander_refused_stamps_ns": "5 9",
     }
     told = RobotStatus(
         7, ServerState.FAULT, "", source=ServerState.HOLDING, event=ServerEvent.FAULT
