@@ -23,7 +23,7 @@ def test_only_a_real_time_robot_server_puts_out_who_blocks_and_a_file_may_say_ot
     def wait_us(config: TransportConfig) -> int:
         return json.loads(config.zenoh().get_json(key))
 
-    assert wait_us(TransportConfig.for_robot()) == 10_000
+    assert wait_us(TransportConfig.for_robot()) == 2_000
     assert wait_us(TransportConfig.for_robot(lock_step=True)) == zenohs_us
     assert wait_us(TransportConfig.for_client()) == zenohs_us
     file = tmp_path / "zenoh.json5"
