@@ -69,8 +69,8 @@ class Bench:
         self.intake = CommandIntake(
             robot.controller,
             robot.requests,
-            LatestReader(self.chunks, topics.YUMI_TRAJECTORY),
-            LatestReader(self.gripper, topics.YUMI_GRIPPER),
+            LatestReader(self.chunks, topics.YUMI_TRAJECTORY, intake.QUEUE),
+            LatestReader(self.gripper, topics.YUMI_GRIPPER, intake.QUEUE),
         )
         self.decoded: list[bytes] = []
         decode = intake.decode_joint_states
