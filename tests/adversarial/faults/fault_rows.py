@@ -12,12 +12,13 @@ class Expect:
     """What must be observed."""
 
     verdict: str
+    """One, or several with " or " between, where a race decides."""
     says: str = ""
     """Words that report or status must contain."""
 
     def matches(self, observed: Observed) -> bool:
         """Whether it is what was observed."""
-        return observed.verdict == self.verdict and self.says in observed.said
+        return observed.verdict in self.verdict.split(" or ") and self.says in observed.said
 
     def text(self) -> str:
         return f"**{self.verdict}**" + (f": {self.says}" if self.says else "")
