@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rerun.chunk import RrdReader
+from drawn import rows
 from robot_servers import call, describe, robot_in_a_thread
 from scripted_runs import EnoughError, Scripted
 from strangers import FALSE, SESSION_SUCCESS, solved_scene, stranger, strangers_everywhere
@@ -49,16 +49,6 @@ class Idle:
             self._at_the_end()
             raise EnoughError("enough")
         return np.array([0.0, 0.0, 1.0])
-
-
-def rows(path: Path) -> dict[str, int]:
-    """Number of samples that a view holds, by entity, static ones left out."""
-    counts: dict[str, int] = {}
-    for chunk in RrdReader(path).stream().to_chunks():
-        if not chunk.is_static:
-            entity = str(chunk.entity_path)
-            counts[entity] = counts.get(entity, 0) + chunk.num_rows
-    return counts
 
 
 def in_real_time(policy: Policy, locator: str) -> DeployReport:
