@@ -82,20 +82,20 @@ def draw_region(
         scale: Units of the axes per unit of the fields.
 
     Returns:
-        Whether there was one to draw: whether it bounds any of the two.
+        Whether there was one to draw: whether it bounds any of the two more than its range does.
     """
     names = [layout.state_fields[column].name for column in columns]
     extent, plane = raster(layout, columns, 600)
-    inside, bounded = np.ones(plane.shape[:2]), False
+    inside = np.ones(plane.shape[:2])
     for ball in layout.reward_region:
         # Of a ball in other fields, too, this is the shadow.
         shown = [k for k, name in enumerate(ball.fields) if name in names]
         if shown:
-            bounded = True
             way = plane[..., [names.index(ball.fields[k]) for k in shown]]
             distance = np.linalg.norm(way - np.array(ball.centre)[shown], axis=-1)
             inside[distance > ball.radius] = 0.0
-    if not bounded:
+    # What bounds nothing but the ends of the ranges is no news, and would hide what is.
+    if inside[1:-1, 1:-1].all():
         return False
     # Closed where it reaches the end of a field's range, too.
     inside[[0, -1]] = 0.0

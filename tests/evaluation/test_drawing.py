@@ -23,7 +23,7 @@ def drawn_extent(layout: PolicyLayout, fields: tuple[str, str]) -> np.ndarray | 
     return np.array([vertices.min(axis=0), vertices.max(axis=0)])
 
 
-@pytest.mark.parametrize("fields", [("lid_angle", "button_depth"), ("hand_y", "hand_z")])
+@pytest.mark.parametrize("fields", [("lid_angle", "button_depth"), ("hand_y", "lid_angle")])
 def test_bounds_of_each_field_are_drawn_whatever_the_others_are(fields: tuple[str, str]) -> None:
     layout = make_layout()
     extent = drawn_extent(layout, fields)
@@ -57,3 +57,7 @@ def test_a_ball_in_more_fields_throws_its_shadow() -> None:
 
 def test_where_nothing_is_bounded_nothing_is_drawn() -> None:
     assert drawn_extent(layout_of(Ball(("y",), (0.0,), 0.1)), ("x", "z")) is None
+
+
+def test_a_region_as_large_as_the_ranges_is_not_drawn() -> None:
+    assert drawn_extent(make_layout(), ("hand_y", "hand_z")) is None
