@@ -12,20 +12,17 @@ each row there must be a survivor; otherwise the run fails with exit code 1.
 from __future__ import annotations
 
 import contextlib
-import gc
 import importlib.metadata
 import io
 import json
 import os
 import re
 import shutil
-import signal
 import sys
 import tempfile
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from types import CodeType, ModuleType
 from typing import Any
 
 import pytest
@@ -34,6 +31,7 @@ from hypothesis import HealthCheck, Phase, settings
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 
 import result_document
+from mutant_forks import ForkPerMutant, Target
 
 try:
     from mutants import Mutant, list_mutants
@@ -42,19 +40,6 @@ except ModuleNotFoundError as error:
         f"tests/adversarial/mutation.py needs {error.name}, which is not installed; install Cosmic "
         "Ray into the environment of skewmi: pip install 'cosmic-ray>=8.7'"
     )
-
-
-@dataclass(frozen=True)
-class Target:
-    """A module to mutate."""
-
-    path: str
-    tests: tuple[str, ...]
-    """The files of `tests/deploy/safety` that must notice a change of it, the quickest first."""
-
-    @property
-    def module(self) -> str:
-        return self.path.removesuffix(".py").replace("/", ".")
 
 
 TARGETS = (
@@ -82,10 +67,6 @@ EXPLANATIONS = result_document.REPOSITORY / "docs" / "mutation.md"
 # What a check takes depends on the machine's load and would kill mutants at random; what a module
 # imports, tested in an interpreter of its own, does not depend on any mutation here.
 NOT_RUN = "not fast_enough and not imports_nothing"
-
-TIMEOUT_S = 60
-"""Processor time after which the tests of a mutant are given up, s. Wall time would let a busy
-machine decide."""
 
 
 def main() -> int:
@@ -166,68 +147,6 @@ def make_copy(folder: Path) -> Path:
         source = result_document.REPOSITORY / "tests" / "deploy" / "safety" / name
         shutil.copy(source, folder / "tests")
     return folder
-
-
-class ForkPerMutant:
-    """Lets pytest collect the tests once, then runs them on each version of a module, in forks.
-
-    In a fork the module and the test files are executed anew, each in the namespace that it has:
-    the tests and fixtures that pytest has collected then see the version. Files stay as they are,
-    and so do other modules' references to the unchanged one: a test that reaches the module only
-    through them cannot kill a mutant.
-
-    Args:
-        target: Whose tests they are.
-        versions: Name and source of each version to test.
-
-    Attributes:
-        outcomes: "" where every test passed, else "killed" or "timeout"; in order of `versions`.
-        in_fork: Whether this is a fork.
-    """
-
-    def __init__(self, target: Target, versions: list[tuple[str, str]]) -> None:
-        self._target = target
-        self._versions = versions
-        self.outcomes: list[str] = []
-        self.in_fork = False
-
-    @pytest.hookimpl(tryfirst=True)
-    def pytest_runtestloop(self, session: pytest.Session) -> bool | None:
-        module = sys.modules[self._target.module]
-        if module.__file__ != str(Path(self._target.path).resolve()):
-            sys.exit(f"the tests import {module.__file__} instead of the copy")
-        files = {item.module: None for item in session.items}  # type: ignore[attr-defined]
-        again = [(file, code_of(file)) for file in files]
-        gc.freeze()  # so that no fork copies everything at its first collection
-        for name, source in self._versions:
-            process = os.fork()
-            if process == 0:
-                self.in_fork = True
-                signal.setitimer(signal.ITIMER_PROF, TIMEOUT_S)
-                exec(compile(source, module.__file__, "exec"), module.__dict__)
-                for file, code in again:
-                    exec(code, file.__dict__)
-                return None  # on to pytest's own loop
-            code = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
-            self.outcomes.append("timeout" if code == -signal.SIGPROF else "killed" * bool(code))
-            if not code:
-                result_document.progress(f"tests pass with {name}")
-            if len(self.outcomes) % 50 == 0:
-                result_document.progress(f"{len(self.outcomes)} of {len(self._versions)}")
-        return True
-
-    @pytest.hookimpl(tryfirst=True)
-    def pytest_runtest_makereport(self, call: pytest.CallInfo[None]) -> None:
-        """End a fork at the first failure: pytest's report on it takes longer than the tests."""
-        if self.in_fork and call.excinfo is not None:
-            os._exit(1)
-
-
-def code_of(module: ModuleType) -> CodeType:
-    """The compiled source of a module."""
-    assert module.__file__ is not None
-    source = Path(module.__file__).read_text(encoding="utf-8")
-    return compile(source, module.__file__, "exec")
 
 
 def test_versions(target: Target, versions: list[tuple[str, str]], seed: int) -> list[str]:
