@@ -16,6 +16,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,8 +25,10 @@ from fault_robot import LOG_VARIABLE, RESET, STEP, TAKEN, Robot
 from skewmi.cli.main import main
 from skewmi.deploy.robot import controller as controller_module
 from skewmi.deploy.robot.backend import RobotState
+from skewmi.deploy.robot.backends.egm.codec import encode_feedback
 from skewmi.deploy.robot.backends.egm.packets import FeedbackPacket
 from skewmi.deploy.robot.description import RobotDescription
+from skewmi.deploy.robot.egm_emulator.controller_states import ArmEvent
 from skewmi.deploy.robot.egm_emulator.emulator import Emulator
 from skewmi.deploy.robot.egm_emulator.wires import NetworkOptions, Wires
 from skewmi.deploy.robot.follower import PlanFollower
@@ -38,6 +41,9 @@ from skewmi.trajectory import GRID_NS
 
 COMM_TIMEOUT_S = "0.1"
 LAG_MS = "10"
+JITTER_NS = 20_000_000
+COUNTED = ("doubled", "overtaken", "spoiled", "foreign", "late", "not_numbers", "overload")
+"""Of the orders: attributes of `ToldWires`, each with a number of packets."""
 FOUND_S = 30.0
 """How long bridge and emulator may take to find one another."""
 
@@ -77,11 +83,14 @@ class WatchedFollower(PlanFollower):
 
 
 class ToldWires(Wires):
-    """Wires that can be told to lose, double or spoil what they carry."""
+    """Wires that can be told to lose, double, delay or spoil what they carry."""
 
     silent_until_s = mute_until_s = 0.0
-    doubled = overtaken = spoiled = 0
+    doubled = overtaken = spoiled = foreign = 0
+    """So many of the coming packets."""
+    late = not_numbers = overload = 0
     _held: FeedbackPacket | None = None
+    _other: socket.socket | None = None
 
     @staticmethod
     def open(remote: tuple[str, int], options: NetworkOptions) -> ToldWires:
@@ -90,6 +99,7 @@ class ToldWires(Wires):
     def send(self, packet: FeedbackPacket, now_ns: int) -> None:
         if time.monotonic() < self.silent_until_s:
             return
+        packet = self._as_told(packet)
         if self.overtaken > 0:
             # Two packets change places.
             self.overtaken -= 1
@@ -105,6 +115,29 @@ class ToldWires(Wires):
         if self.spoiled > 0:
             self.spoiled -= 1
             self._socket.send(os.urandom(200))
+        if self.foreign > 0:
+            self.foreign -= 1
+            self._send_from_elsewhere(packet)
+
+    def _as_told(self, packet: FeedbackPacket) -> FeedbackPacket:
+        """The packet with what is wrong about it, and how late it and its answer will be."""
+        self._jitter_ns = JITTER_NS if self.late > 0 else 0
+        self.late -= 1
+        if self.not_numbers > 0:
+            self.not_numbers -= 1
+            packet = replace(packet, q=np.where(np.arange(7) == 2, np.nan, packet.q))
+        if self.overload > 0:
+            self.overload -= 1
+            packet = replace(packet, utilization=150.0)
+        return packet
+
+    def _send_from_elsewhere(self, packet: FeedbackPacket) -> None:
+        """What another controller would say: of other joints, and newer."""
+        if self._other is None:
+            self._other = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            self._other.connect(self._socket.getpeername())
+        other = replace(packet, q=packet.q + 0.1, sequence=packet.sequence + 10)
+        self._other.send(encode_feedback(other))
 
     def carry(self, now_ns: int) -> None:
         super().carry(now_ns)
@@ -121,12 +154,16 @@ def _act(emulator: Emulator, order: str) -> None:
         wires.silent_until_s = time.monotonic() + float(value)
     elif what == "mute":
         wires.mute_until_s = time.monotonic() + float(value)
-    elif what in ("doubled", "overtaken", "spoiled"):
+    elif what in COUNTED:
         setattr(wires, what, int(value))
     elif what == "motors":
         emulator.controller.switch_motors(on=value == "on")
     elif what == "stop":
         arm.stop()
+    elif what == "end":
+        arm.machine.fire(ArmEvent.CONVERGED, order, 0)
+    elif what == "fail":
+        arm.machine.fire(ArmEvent.OUT_OF_RANGE, order, 0)
     elif what == "start":
         arm.start()
     elif what == "restart":

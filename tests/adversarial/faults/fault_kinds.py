@@ -10,7 +10,6 @@ from dataclasses import replace
 import numpy as np
 from fault_cell import Cell
 from fault_chunks import rows_of
-from fault_egm_robot import EgmRobot
 from fault_link import Delivery, Message
 from flood_senders import many_points
 from strangers import FALSE
@@ -174,35 +173,6 @@ def restarted(number: signal.Signals, wait_s: float = 0.0) -> Inject:
         cell.spawn(restart)
 
     return inject
-
-
-def controller_told(*orders: str, wait_s: float = 0.0) -> Inject:
-    """The emulated controller does as it is told: see `fault_egm_robot`."""
-
-    def inject(cell: Cell) -> None:
-        robot = cell.robot
-        assert isinstance(robot, EgmRobot)
-
-        def tell() -> None:
-            for number, order in enumerate(orders):
-                time.sleep(wait_s if number else 0.0)
-                robot.tell(order)
-
-        cell.spawn(tell)
-
-    return inject
-
-
-def controller_restarted(cell: Cell) -> None:
-    """The emulated controller is killed, scene and all, and another one is started."""
-    robot = cell.robot
-    assert isinstance(robot, EgmRobot)
-
-    def restart() -> None:
-        robot.end_emulator(signal.SIGKILL)
-        robot.start()
-
-    cell.spawn(restart)
 
 
 def link_silent(cell: Cell) -> None:
