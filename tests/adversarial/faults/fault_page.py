@@ -23,7 +23,8 @@ product to it.
 Phases: **start motion** (the way to the start of an episode), **running** (the policy moves the
 hand), **stopping** (somebody pressed Ctrl-C and the arm brakes). The column **running, EGM bridge
 + emulator** is the same fault while the policy runs, with `skewmi robot --backend egm` for the
-server and an emulated controller ([egm.md](egm.md)) for the arm, always in real time.
+server and an emulated controller ([egm.md](egm.md)) for the arm, always in real time; "as running"
+means that the same must come of it.
 
 In every cell, besides what it shows:
 
@@ -50,6 +51,8 @@ NOTES = """\
 - A robot server that is killed commands nothing more: what the arm does then is the robot's own
   business. (A simulated arm ends with its process; motion is judged up to that moment.) Ended by
   a signal it can answer, the robot server brakes first.
+- Where a controller takes the arm away (motors off, program stopped, EGM ended) nothing is commanded
+  until it gives it back: motion is judged up to that moment, and from where the arm is afterwards.
 - Nothing depends on wall clocks: they only label messages.
 - A delay shorter than `--lead-ms` less 6 ms does nothing; these runs use 40 ms. On a busy computer
   a run may miss cycles without any fault; then the cell is run again.
