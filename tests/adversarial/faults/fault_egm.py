@@ -71,11 +71,7 @@ EGM_ROWS = (
     _row("noise between packets", _told("spoiled 500"), WENT_ON),
     _row("another controller's packets between them", _told("foreign 500"), WENT_ON),
     _row("packets with a NaN for 40 ms", _told("not_numbers 10"), WENT_ON),
-    _row(
-        "packets with a NaN for 0.5 s",
-        _told("not_numbers 125"),
-        Expect(FAULT, "no packet"),
-    ),
+    _row("packets with a NaN for 0.5 s", _told("not_numbers 125"), Expect(FAULT, "no packet")),
     _row(
         "more than 100 % utilisation for 0.5 s",
         _told("overload 125"),
@@ -86,7 +82,7 @@ EGM_ROWS = (
     _row(
         "EGM ends with an error",
         _told("fail", "start", wait_s=1.0),
-        Expect(FAULT, "the controller reports an EGM error"),
+        Expect(FAULT, "the RAPID program is stopped, after an EGM error"),
         "start the program, run again",
     ),
     _row(
