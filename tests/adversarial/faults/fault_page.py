@@ -51,8 +51,8 @@ NOTES = """\
 - A robot server that is killed commands nothing more: what the arm does then is the robot's own
   business. (A simulated arm ends with its process; motion is judged up to that moment.) Ended by
   a signal it can answer, the robot server brakes first.
-- Where a controller takes the arm away (motors off, program stopped, EGM ended) nothing is commanded
-  until it gives it back: motion is judged up to that moment, and from where the arm is afterwards.
+- Where a controller takes the arm away (motors off, program stopped, EGM ended) nothing is
+  commanded until it gives it back: motion is judged up to that moment, and from then on again.
 - Nothing depends on wall clocks: they only label messages.
 - A delay shorter than `--lead-ms` less 6 ms does nothing; these runs use 40 ms. On a busy computer
   a run may miss cycles without any fault; then the cell is run again.
