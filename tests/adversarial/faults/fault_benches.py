@@ -13,6 +13,12 @@ from fault_clock import WallClock
 from skewmi.deploy.wire import topics
 
 
+def bench_of(fault: Fault) -> str:
+    """Name of the bench that a fault needs: pace, clock and robot."""
+    name = "clock" if fault.clock_jump_s else "lock-step" if fault.lock_step else "real time"
+    return name + (", EGM" if fault.egm else "")
+
+
 class Benches:
     """One bench at a time, of the pace and with the clock that a cell needs.
 
@@ -62,8 +68,7 @@ class Benches:
         return observed
 
     def _fitting(self, fault: Fault) -> Bench:
-        name = "clock" if fault.clock_jump_s else "lock-step" if fault.lock_step else "real time"
-        name += ", EGM" if fault.egm else ""
+        name = bench_of(fault)
         if self._bench is None or name != self._name:
             self.close()
             self._count += 1

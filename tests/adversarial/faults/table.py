@@ -1,9 +1,10 @@
 """Run the whole matrix and write docs/faults.md: `python tests/adversarial/faults/table.py`.
 
-Takes about half an hour. Writes nothing, and returns 1, if a cell came out otherwise than the
-catalogue says. Results of finished cells are kept: a run that was interrupted, or that was told to
-end (`--for-s`), goes on when it is started again, as long as no source has changed. `--rows` and
-`--columns` run a part; the page is written once all parts are there.
+Takes about twenty minutes on a machine with nothing else to do. Writes nothing, and returns 1, if a
+cell came out otherwise than the catalogue says. Results of finished cells are kept: a run that was
+interrupted, or that was told to end (`--for-s`, then it returns 2), goes on when it is started
+again, as long as no source has changed. `--rows` and `--columns` run a part; the page is written
+once all parts are there.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parents[2] / "support"))
 
-from fault_benches import Benches
+from fault_benches import Benches, bench_of
 from fault_catalog import GROUPS, ROWS
 from fault_cell import Phase
 from fault_page import PAGE, render
@@ -36,9 +37,12 @@ def tell(text: str) -> None:
 
 
 def chosen(rows: Sequence[str], columns: Sequence[str]) -> list[Case]:
-    """Cells whose row or group has one of `rows` in its name, in one of `columns`; empty: all."""
+    """Cells whose row or group has one of `rows` in its name, in one of `columns`; empty: all.
+
+    Those of a bench come together, since starting one takes its time.
+    """
     wanted = {COLUMNS[column] for column in columns}
-    return [
+    cases = [
         case
         for group, members in GROUPS.items()
         for row in members
@@ -46,6 +50,7 @@ def chosen(rows: Sequence[str], columns: Sequence[str]) -> list[Case]:
         if not rows or any(part in name for part in rows for name in (group, row.fault.name))
         if not wanted or case.column in wanted
     ]
+    return sorted(cases, key=lambda case: bench_of(case.fault))
 
 
 def run_cell(case: Case, benches: Benches) -> Result | str:

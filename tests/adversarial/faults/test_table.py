@@ -21,7 +21,10 @@ def row(name: str) -> Row:
 
 
 MATRIX = {"Group A": (row("one"), row("two")), "Group B": (row("three"),)}
-EVERY = [case for rows in MATRIX.values() for member in rows for case in member.cases]
+EVERY = sorted(
+    (case for rows in MATRIX.values() for member in rows for case in member.cases),
+    key=lambda case: case.fault.egm,  # bench by bench
+)
 
 
 class Benches:
