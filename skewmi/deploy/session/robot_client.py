@@ -53,15 +53,12 @@ class RobotClient:
         *,
         dry_run: bool,
     ) -> None:
-        self._link = link
-        self._trust = trust
-        self._commands = commands
-        self._gripper = gripper
+        self._link, self._trust = link, trust
+        self._commands, self._gripper = commands, gripper
         self._status = status
         self._dry_run = dry_run
         self._refused = RefusedCommands(commands.gid)
-        self._armed = False
-        self._heard = False
+        self._armed = self._heard = False
         self.delay = ArmDelay()
         """Of the arm behind its commands, as the robot server measures it."""
 
