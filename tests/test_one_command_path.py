@@ -18,6 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from skewmi.deploy.session.arm_delay import ArmDelay
 from skewmi.deploy.session.arm_state import ArmState
 from skewmi.deploy.session.control_loop import ControlLoop
 from skewmi.deploy.session.policy_motion import PolicyMotion
@@ -189,6 +190,7 @@ def deployed(hands: Array, actions: Array) -> tuple[Commanded, Array]:
     robot = SimpleNamespace(
         open_gripper=lambda opening, stamp_ns: openings.append(opening),
         check=lambda late_is_final: None,
+        delay=ArmDelay(),
     )
     topics = SimpleNamespace(publish=lambda stamp_ns, observation, action=None: None)
     parts, times = cast(Any, arm), CycleTimes()

@@ -21,6 +21,10 @@ from skewmi.errors import TransportError
 STATUS_NAME = "skewmi_robot"
 """Name of the robot server's entry in the status messages."""
 
+DELAY_KEY = "delay_ms"
+"""In `RobotStatus.told`, of a robot that has measured it: from a command to the joint state that
+shows it, ms."""
+
 _NO_STAMP = "None"
 _COMMON = frozenset(
     {

@@ -6,6 +6,7 @@ import numpy as np
 
 from skewmi.command_integrator import CommandIntegrator
 from skewmi.deploy.motion.planner import Planner
+from skewmi.deploy.session.arm_delay import ArmDelay
 from skewmi.deploy.session.arm_state import ArmState
 from skewmi.deploy.session.observer import Observer
 from skewmi.deploy.session.stream import ChunkStream
@@ -24,7 +25,8 @@ class HandCommander:
     Planning and sending take time: when a state is measured, some 0.1 s of commanded motion (the
     stream's lead, the planner's shaping) is still to come. In training there is none. All that is
     said of it here is where the hand was commanded to be at that time, and where it is about to
-    be; the rest is `CommandIntegrator`'s.
+    be; the rest is `CommandIntegrator`'s. An arm that shows its commands late (ABB's controllers
+    take some 20 ms) is compared with what it was commanded that much earlier: late is not blocked.
 
     Args:
         layout: Of the policy; must have a workspace.
@@ -32,6 +34,7 @@ class HandCommander:
         observer: Gives hand positions of joint angles.
         stream: Knows what was commanded for a time not long ago.
         step_s: How long a control step takes: longer than in training for a slowed-down one, s.
+        delay: Of the arm behind its commands.
     """
 
     def __init__(
@@ -41,10 +44,12 @@ class HandCommander:
         observer: Observer,
         stream: ChunkStream,
         step_s: float,
+        delay: ArmDelay,
     ) -> None:
         self.integrator = CommandIntegrator(layout, yumi.GRIPPER.travel)
         self._planner, self._observer, self._stream = planner, observer, stream
         self._step_s = step_s
+        self._delay = delay
         self._step_stamp_ns = 0
 
     @property
@@ -86,8 +91,9 @@ class HandCommander:
             self._planner.set_target(self.integrator.position_w[0], CYCLE_NS / 1e9)
 
     def _commanded(self, state: ArmState) -> Array:
-        """Where the hand was commanded to be when `state` was measured, world, m. Shape (3,)."""
-        return self._observer.hand_of(self._stream.commanded(state.stamp_ns))
+        """Where the hand was commanded to be as `state` shows it, world, m. Shape (3,)."""
+        shown_ns = state.stamp_ns - self._delay.ns
+        return self._observer.hand_of(self._stream.commanded(shown_ns))
 
     def _ahead(self, hand_w: Array, commanded_w: Array) -> Array:
         """Where the measured hand will be once it has made the motion that is under way.

@@ -26,7 +26,7 @@ class PolicyMotion:
         planner: Plans hand motion.
         observer: Makes observations of states.
         stream: Knows what was commanded for a time not long ago.
-        robot: Whose gripper is commanded.
+        robot: Whose gripper is commanded, and how late its arm is.
         topics: Where observations and actions are published.
         times: Stage times.
         step_cycles: Planner cycles that a control step takes.
@@ -66,7 +66,9 @@ class PolicyMotion:
         self._times = times
         self._step_cycles = step_cycles
         step_s = step_cycles * CYCLE_NS / 1e9
-        self.commander = HandCommander(policy.layout, planner, observer, stream, step_s)
+        self.commander = HandCommander(
+            policy.layout, planner, observer, stream, step_s, robot.delay
+        )
         """What the hand is commanded to; of the present or last episode."""
         self.forget()
 

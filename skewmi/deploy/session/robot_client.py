@@ -10,6 +10,7 @@ import numpy as np
 from skewmi.deploy.robot.description import SCENE_REQUEST, RobotDescription
 from skewmi.deploy.robot.states import ServerState
 from skewmi.deploy.robot.status import RobotStatus
+from skewmi.deploy.session.arm_delay import ArmDelay
 from skewmi.deploy.session.interrupt import StopRequestedError
 from skewmi.deploy.session.refused import LateChunkError, RefusedCommands
 from skewmi.deploy.session.trust import Trust
@@ -52,15 +53,14 @@ class RobotClient:
         *,
         dry_run: bool,
     ) -> None:
-        self._link = link
-        self._trust = trust
-        self._commands = commands
-        self._gripper = gripper
+        self._link, self._trust = link, trust
+        self._commands, self._gripper = commands, gripper
         self._status = status
         self._dry_run = dry_run
         self._refused = RefusedCommands(commands.gid)
-        self._armed = False
-        self._heard = False
+        self._armed = self._heard = False
+        self.delay = ArmDelay()
+        """Of the arm behind its commands, as the robot server measures it."""
 
     @staticmethod
     def open(
@@ -213,6 +213,7 @@ class RobotClient:
             status = RobotStatus.decode(sample.payload)
             if status is None or self._dry_run:
                 continue
+            self.delay.hear(status.told)
             self._heard = self._heard or self._is_ours(status)
             if self._heard:
                 news.append(status)

@@ -30,8 +30,9 @@ from skewmi.trajectory import (
 SEND_MARGIN_NS = 6_000_000
 """A chunk that would be due sooner than this is not planned: it would probably come too late."""
 
-_HISTORY = 8
-"""Chunks that are remembered for comparing measured with commanded motion: 160 ms."""
+_HISTORY = 16
+"""Chunks that are remembered for comparing measured with commanded motion: 320 ms, more than the
+longest lead and the longest delay of an arm that is reckoned with."""
 
 _WARM_SAMPLES = 120
 """Chunks of the named limit profiles are shorter: 20 ms and a stop of at most 0.4 s."""

@@ -6,10 +6,17 @@ from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 
-from fault_cell import ATTEMPTS, BUSY, Bench, Fault, NotReachedError, Observed, Phase, run_cell
+from fault_bench import Bench
+from fault_cell import ATTEMPTS, BUSY, Fault, NotReachedError, Observed, Phase, run_cell
 from fault_clock import WallClock
 
 from skewmi.deploy.wire import topics
+
+
+def bench_of(fault: Fault) -> str:
+    """Name of the bench that a fault needs: pace, clock and robot."""
+    name = "clock" if fault.clock_jump_s else "lock-step" if fault.lock_step else "real time"
+    return name + (", EGM" if fault.egm else "")
 
 
 class Benches:
@@ -61,14 +68,14 @@ class Benches:
         return observed
 
     def _fitting(self, fault: Fault) -> Bench:
-        name = "clock" if fault.clock_jump_s else "lock-step" if fault.lock_step else "real time"
+        name = bench_of(fault)
         if self._bench is None or name != self._name:
             self.close()
             self._count += 1
             folder = self._folder / str(self._count)
             folder.mkdir()
-            clock = WallClock(folder) if name == "clock" else None
-            self._bench = Bench(folder, lock_step=fault.lock_step, clock=clock)
+            clock = WallClock(folder) if fault.clock_jump_s else None
+            self._bench = Bench(folder, lock_step=fault.lock_step, clock=clock, egm=fault.egm)
             self._bench.__enter__()
             self._name = name
         return self._bench

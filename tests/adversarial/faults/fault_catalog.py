@@ -25,6 +25,7 @@ from fault_chunks import (
     too_many_points,
     without_tail,
 )
+from fault_egm import EGM_ROWS
 from fault_kinds import (
     Change,
     Inject,
@@ -275,5 +276,6 @@ GROUPS: dict[str, tuple[Row, ...]] = {
             Expect(AS_ASKED, "exit 0"),
         ),
     ),
+    "The controller and its link": EGM_ROWS,
 }
 ROWS = tuple(row for rows in GROUPS.values() for row in rows)

@@ -8,16 +8,14 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from enum import Enum
-from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
-from fault_clock import WallClock
+from fault_bench import Bench
 from fault_link import MOVING, FaultLink
 from fault_motion import Motion, assert_safe
 from fault_proxy import TcpProxy
 from fault_robot import Robot
-from fault_session import SessionProcess
 
 from skewmi.deploy.realtime import hot_loop
 from skewmi.deploy.robot.description import RobotDescription
@@ -54,8 +52,15 @@ DISARMED = "rests, disarmed"
 """Of an arm whose session is dead."""
 
 
-BUSY = ("no new joint state for", "start motions came too late", "missed ")
+BUSY = (
+    "no new joint state for",
+    "start motions came too late",
+    "missed ",
+    "in the past of the robot server's clock",
+)
 """What is said of a run on a machine that has no time for it."""
+BUSY_AGAIN = (*BUSY, "the scene state", "the robot is not ready")
+"""The same of the run afterwards, whose scene may be a process of its own."""
 
 
 class NotReachedError(Exception):
@@ -136,31 +141,10 @@ class Fault:
     """See `DeployOptions`. More than its default, for the same reason as `ATTEMPTS`."""
     clock_jump_s: int = 0
     """By how much the wall clock is to jump, which needs a bench with such a clock."""
-
-
-class Bench:
-    """A robot server and a session to run cells on; a context manager that ends both.
-
-    Args:
-        folder: For the robot server's log.
-        lock_step: Their pace.
-        clock: That both shall have, or None for the machine's.
-    """
-
-    def __init__(self, folder: Path, *, lock_step: bool, clock: WallClock | None = None) -> None:
-        environment = {} if clock is None else clock.environment
-        self.clock = clock
-        self.robot = Robot(folder / "targets", lock_step=lock_step, environment=environment)
-        self.session = SessionProcess(environment)
-
-    def __enter__(self) -> Self:
-        self.robot.__enter__()
-        self.session.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.session.close()
-        self.robot.__exit__()
+    taken: bool = False
+    """Whether a controller may take the arm away in motion."""
+    egm: bool = False
+    """Whether the robot is the EGM bridge with an emulated controller."""
 
 
 def run_cell(fault: Fault, phase: Phase, bench: Bench) -> Observed:
@@ -196,10 +180,14 @@ def run_cell(fault: Fault, phase: Phase, bench: Bench) -> Observed:
             began=cell.began,
         )
         cell.join()
-        description = _wait_for_rest(robot)
+        description = _wait_for_rest(robot, ready=fault.taken)
         said = f"{_said(report, link, cell)} | {description.reason}"
-    end = np.array(description.commanded_position)
-    motion = Motion.of(robot.rows()[first_row:], end, cell.server_died_s)
+    rows = robot.rows()[first_row:]
+    # A plan that follows an arm in somebody else's hands has moved on since it was described.
+    end = rows[-1, 2:9] if fault.taken else np.array(description.commanded_position)
+    motion = Motion.of(rows, end, cell.server_died_s)
+    if any(motion.taken) and not fault.taken:
+        raise NotReachedError("the controller's session broke in motion, without a reason")
     shares = assert_safe(motion)
     _resume(bench)
     if cell.fault_s is None:
@@ -240,15 +228,18 @@ def _said(report: dict[str, Any] | None, link: FaultLink, cell: Cell) -> str:
     return " | ".join(said)
 
 
-def _wait_for_rest(robot: Robot) -> RobotDescription:
-    """Until the robot server is disarmed; a fault is acknowledged as `skewmi stop` does."""
+def _wait_for_rest(robot: Robot, *, ready: bool = False) -> RobotDescription:
+    """Until the robot server is disarmed; a fault is acknowledged as `skewmi stop` does.
+
+    If asked to, until the robot is ready again, too: an arm that was taken away is back then.
+    """
     deadline = time.monotonic() + REST_TIMEOUT_S
     config = TransportConfig.for_client(robot.locator, lock_step=robot.lock_step)
     with Link.open(config, "watcher") as link:
         while True:
             answer = link.call(topics.YUMI_DESCRIBE, 5.0)
             description = RobotDescription.from_json(answer.message)
-            if description.state == "disarmed":
+            if description.state == "disarmed" and (description.ready or not ready):
                 return description
             if description.state == "fault":
                 link.call(topics.YUMI_STOP, 5.0)
@@ -284,7 +275,7 @@ def _resume(bench: Bench) -> None:
         )
         assert report is not None
         (episode,) = report["per_episode"]
-        if not any(reason in episode["reason"] for reason in BUSY):
+        if not any(reason in episode["reason"] for reason in BUSY_AGAIN):
             break
     assert episode["reason"] == "interrupted", f"no way to go on: {episode}"
     assert episode["steps"] == RESUMED_STEPS

@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 import pinocchio
-from fault_robot import RESET, STEP
+from fault_robot import STEP, TAKEN
 
 from skewmi.policy_io import Array
 from skewmi.robot_models import urdf
@@ -40,6 +40,8 @@ class Motion:
 
     stretches: tuple[tuple[Array, Array], ...]
     """(monotonic s (n,), commanded q (n, 7)) between two resets of the scene."""
+    taken: tuple[bool, ...]
+    """Of each: whether a controller took the arm away at its end, so that nothing was commanded."""
     measured_end: Array
     """Joint angles at the end, rad. Shape (7,)."""
     died_s: float | None = None
@@ -53,9 +55,11 @@ class Motion:
         """
         rest = np.concatenate([[STEP, rows[-1, 1]], end, rows[-1, 9:16]])
         rows = np.concatenate([rows, rest[None]])
-        starts = [0, *np.flatnonzero(rows[:, 0] == RESET), len(rows)]
-        parts = [rows[a:b] for a, b in pairwise(starts) if b > a]
-        return Motion(tuple((part[:, 1], part[:, 2:9]) for part in parts), rows[-1, 9:16], died_s)
+        starts = [0, *np.flatnonzero(rows[:, 0] != STEP), len(rows)]
+        parts = [(rows[a:b], rows[b : b + 1, 0]) for a, b in pairwise(starts) if b > a]
+        stretches = tuple((part[:, 1], part[:, 2:9]) for part, _ in parts)
+        taken = tuple(bool((after == TAKEN).any()) for _, after in parts)
+        return Motion(stretches, taken, rows[-1, 9:16], died_s)
 
     def speed_at(self, time_s: float) -> float:
         """Largest joint speed from 20 ms before to 30 ms after a time, rad/s."""
@@ -113,10 +117,10 @@ def shares(motion: Motion) -> dict[str, float]:
         worst[name] = max(worst[name], value)
 
     middle, half = (UPPER + LOWER) / 2, (UPPER - LOWER) / 2
-    for t, q in motion.stretches:
+    for (t, q), taken in zip(motion.stretches, motion.taken, strict=True):
         note("position", float((np.abs(q - middle) / half).max()))
         died = motion.died_s is not None and t[0] < motion.died_s
-        rest_after = q[-1:] if not died else q[:0]
+        rest_after = q[:0] if died or taken else q[-1:]
         padded = np.concatenate([*[q[:1]] * 3, q, *[rest_after] * 3])
         bounds = {"velocity": VELOCITY, "acceleration": ACCELERATION, "jerk": JERK}
         for order, (name, bound) in enumerate(bounds.items(), start=1):

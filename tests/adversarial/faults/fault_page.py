@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fault_catalog import GROUPS, Row
+from fault_catalog import GROUPS
 from fault_cell import Phase
+from fault_rows import EGM_COLUMN, Row
 
 PAGE = Path(__file__).parents[3] / "docs" / "faults.md"
+
+SAME = "as running"
 
 INTRODUCTION = """\
 # What happens when something fails
@@ -18,7 +21,10 @@ it and writes this page only if every cell came out as shown; `tests/adversarial
 product to it.
 
 Phases: **start motion** (the way to the start of an episode), **running** (the policy moves the
-hand), **stopping** (somebody pressed Ctrl-C and the arm brakes).
+hand), **stopping** (somebody pressed Ctrl-C and the arm brakes). The column **running, EGM bridge
++ emulator** is the same fault while the policy runs, with `skewmi robot --backend egm` for the
+server and an emulated controller ([egm.md](egm.md)) for the arm, always in real time; "as running"
+means that the same must come of it.
 
 In every cell, besides what it shows:
 
@@ -45,6 +51,8 @@ NOTES = """\
 - A robot server that is killed commands nothing more: what the arm does then is the robot's own
   business. (A simulated arm ends with its process; motion is judged up to that moment.) Ended by
   a signal it can answer, the robot server brakes first.
+- Where a controller takes the arm away (motors off, program stopped, EGM ended) nothing is
+  commanded until it gives it back: motion is judged up to that moment, and from then on again.
 - Nothing depends on wall clocks: they only label messages.
 - A delay shorter than `--lead-ms` less 6 ms does nothing; these runs use 40 ms. On a busy computer
   a run may miss cycles without any fault; then the cell is run again.
@@ -57,7 +65,7 @@ NOTES = """\
 def render() -> str:
     """The whole page."""
     lines = [INTRODUCTION]
-    heading = ["fault", *(phase.value for phase in Phase), "to go on"]
+    heading = ["fault", *(phase.value for phase in Phase), EGM_COLUMN, "to go on"]
     for group, rows in GROUPS.items():
         lines += [f"## {group}", "", _line(heading), "|---" * len(heading) + "|"]
         lines += [_line(_columns(row)) for row in rows]
@@ -67,7 +75,8 @@ def render() -> str:
 
 def _columns(row: Row) -> list[str]:
     cells = [row.cell(phase).text() for phase in Phase]
-    return [row.fault.name.removeprefix("planned: "), *cells, row.go_on]
+    egm = row.behind_egm.text() if row.egm is not None else SAME
+    return [row.fault.name.removeprefix("planned: "), *cells, egm, row.go_on]
 
 
 def _line(columns: list[str]) -> str:

@@ -23,7 +23,8 @@ from skewmi.deploy.robot.process import free_port
 from skewmi.policy_io import Array
 
 LOG_VARIABLE = "SKEWMI_FAULTS_LOG"
-STEP, RESET = 0.0, 1.0
+STEP, RESET, TAKEN = 0.0, 1.0, 2.0
+"""Kinds of rows: a target; the arm is put elsewhere at rest; it is taken away in motion."""
 ROW = 1 + 1 + 7 + 7
 """Columns of a row: kind, monotonic s, commanded q (7,), measured q (7,); rad."""
 

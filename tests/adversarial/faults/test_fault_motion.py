@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from fault_chunks import breach, motion
 from fault_motion import ACCELERATION, JERK, VELOCITY, Motion, assert_safe, shares
-from fault_robot import STEP
+from fault_robot import RESET, STEP, TAKEN
 
 from skewmi.policy_io import Array
 from skewmi.sim.tasks.open_press_close.definition import make_layout
@@ -56,6 +56,23 @@ def test_each_breach_is_seen(kind: str, name: str) -> None:
 def test_motion_that_ends_abruptly_is_seen(rows: int) -> None:
     with pytest.raises(AssertionError, match="of its limit"):
         assert_safe(logged(small_motion()[:rows]))
+
+
+def interrupted(kind: float, stop: int, q: Array) -> Motion:
+    """A motion of which nothing more was commanded after some rows, and a rest somewhere else."""
+    rows = np.column_stack([np.full(stop, STEP), 0.004 * np.arange(stop), q[:stop], q[:stop]])
+    after = np.concatenate([[kind, 0.004 * stop], START, START])
+    return Motion.of(np.concatenate([rows, after[None]]), START)
+
+
+def test_arm_that_was_taken_away_in_motion_is_judged_up_to_then() -> None:
+    q = small_motion()
+    assert_safe(interrupted(TAKEN, len(q) // 2, q))
+    with pytest.raises(AssertionError, match="of its limit"):
+        assert_safe(interrupted(RESET, len(q) // 2, q))
+    broken = breach("jerk", REST)[0]
+    with pytest.raises(AssertionError, match="of its limit"):
+        assert_safe(interrupted(TAKEN, len(broken), broken))
 
 
 def test_arm_that_is_elsewhere_is_seen() -> None:

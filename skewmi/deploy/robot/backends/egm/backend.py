@@ -134,6 +134,7 @@ class EgmBackend:
             self.right.hold()
             self.command = None
             self.recent.clear()
+            self.delay.forget_way()
         if self.left is not None:
             self.left.serve()
 
@@ -176,6 +177,7 @@ class EgmBackend:
         self.slips += taken.skipped
         if taken.begins:
             self._speed.forget()
+            self.delay.forget_way()
         velocity = self._speed.add(watch.clock.time_ns, q)
         if self.gripper is not None:
             q, velocity = np.append(q, self.gripper.opening), np.append(velocity, 0.0)
@@ -194,10 +196,9 @@ class EgmBackend:
 
     def _note_delay(self, command: JointPoint) -> None:
         assert self.right is not None
-        packet = self.right.watch.packet
-        if packet is not None and self.command is not None:
-            period_s = self.right.watch.clock.period_ns / 1e9
-            self.delay.add(command.q, command.v, packet.q, period_s)
+        watch = self.right.watch
+        if watch.packet is not None:
+            self.delay.add(watch.clock.time_ns / 1e9, command.q, watch.packet.q)
 
     def _open_left(self, beside: tuple[str, int]) -> UdpLink | None:
         where = self.options.listen_left

@@ -11,11 +11,27 @@ from skewmi.trajectory import Array
 _SPAN = 6
 """Positions that a speed is taken from: 5 cycles, 20 ms."""
 
-_SLOWEST = 0.02
-"""rad/s: a slower joint says nothing about delays."""
-
 _MEMORY_S = 5.0
 """Of motion; what is older has faded from the delay."""
+
+_STEP_S = 0.004
+_DELAYS_S = np.arange(0.0, 0.1501, _STEP_S)
+"""Candidates."""
+
+_REMEMBERED = 40
+"""Commands, 4 ms or more apart: a little more than the longest candidate."""
+
+_LOOKED_AT = 5
+"""Cycles: 20 ms."""
+
+_STILL = 1e-3
+"""rad: an arm that is not commanded further in this time says nothing about delays."""
+
+_ENOUGH = 1.5e-3
+"""rad^2/s: variations of the speed by 0.05 rad/s for half a second."""
+
+_UNEXPLAINED = 0.1
+"""Part of the motion that is at most left over by the delay that is found."""
 
 
 class SpeedEstimate:
@@ -49,36 +65,73 @@ class SpeedEstimate:
 class DelayEstimate:
     """How late an arm is behind its commands, in one number.
 
-    An arm that does in time t what it was commanded at t - d is behind by d v. Over the motion of
-    the last seconds, the d that leaves the least squares is
+    An arm that does at time t what it was commanded at t - d leaves, for each candidate d,
 
-        d = sum (commanded - measured) v / sum v^2
+        S(d) = sum over joints of the variance of (measured(t) - commanded(t - d))
 
-    of which the sums fade with time. Standing joints count for nothing.
+    over the motion of the last seconds, which fades with time; the least S is where the delay is,
+    and a parabola through its neighbors finds it between two candidates. Of a variance, because an
+    arm that sags by a constant is not late. S is curved by how much the speed varies: an arm that
+    rests, or that slides evenly, says nothing. Nor does one that does not do what it is told.
     """
 
     def __init__(self) -> None:
-        self._behind = 0.0
-        self._motion = 0.0
+        self._times = np.zeros(_REMEMBERED)
+        self._commands = np.zeros((_REMEMBERED, 7))
+        self._known = 0
+        self._weight = 0.0
+        self._sums = np.zeros((len(_DELAYS_S), 7))
+        self._squares = np.zeros((len(_DELAYS_S), 7))
+
+    def forget_way(self) -> None:
+        """What was commanded so far is not on its way any more: a session has ended."""
+        self._known = 0
+
+    def add(self, time_s: float, commanded_q: Array, measured_q: Array) -> None:
+        """Take in a cycle, oldest first; each fifth is looked at.
+
+        Args:
+            time_s: Of the measurement.
+            commanded_q: What holds at that time, rad. Shape (7,).
+            measured_q: rad. Shape (7,).
+        """
+        for history, newest in ((self._times, time_s), (self._commands, commanded_q)):
+            history[:-1] = history[1:]
+            history[-1] = newest
+        self._known += 1
+        if self._known < _REMEMBERED or self._known % _LOOKED_AT:
+            return
+        if np.ptp(self._commands, axis=0).max() < _STILL:
+            return
+        dt_s = time_s - float(self._times[-1 - _LOOKED_AT])
+        fades = np.exp(-dt_s / _MEMORY_S)
+        late = measured_q - self._commanded(time_s - _DELAYS_S)
+        self._weight = fades * self._weight + dt_s
+        self._sums = fades * self._sums + dt_s * late
+        self._squares = fades * self._squares + dt_s * late**2
 
     @property
     def delay_s(self) -> float | None:
-        """s; None before a motion of half a second or so has been seen."""
-        return self._behind / self._motion if self._motion > 0.5 * _SLOWEST**2 * 7 else None
+        """s, from 0 on; None before enough motion has been seen, or if none explains it."""
+        if self._weight == 0.0:
+            return None
+        left = (self._squares - self._sums**2 / self._weight).sum(axis=1)
+        best = int(np.argmin(left))
+        if best == len(left) - 1 or left[best] > _UNEXPLAINED * left.max():
+            return None
+        middle = max(best, 1)
+        below, at, above = left[middle - 1 : middle + 2]
+        # S is curved by twice the sum of (speed less its mean) squared.
+        curvature = (below - 2.0 * at + above) / _STEP_S**2
+        if curvature < 2.0 * _ENOUGH:
+            return None
+        offset = 0.5 * (below - above) / (below - 2.0 * at + above)
+        return max(0.0, float(_DELAYS_S[middle] + _STEP_S * offset))
 
-    def add(self, commanded_q: Array, commanded_v: Array, measured_q: Array, dt_s: float) -> None:
-        """Take in a cycle.
-
-        Args:
-            commanded_q: What holds at the time of the measurement, rad. Shape (7,).
-            commanded_v: Its speed, rad/s. Shape (7,).
-            measured_q: rad. Shape (7,).
-            dt_s: Length of the cycle.
-        """
-        moving = np.abs(commanded_v) > _SLOWEST
-        if not moving.any():
-            return
-        fades = np.exp(-dt_s / _MEMORY_S)
-        v = np.where(moving, commanded_v, 0.0)
-        self._behind = fades * self._behind + dt_s * float((commanded_q - measured_q) @ v)
-        self._motion = fades * self._motion + dt_s * float(v @ v)
+    def _commanded(self, times_s: Array) -> Array:
+        """Between what was commanded at the cycles before. Shape (n,) -> (n, 7)."""
+        after = np.clip(np.searchsorted(self._times, times_s), 1, _REMEMBERED - 1)
+        span = np.maximum(self._times[after] - self._times[after - 1], 1e-9)
+        part = np.clip((times_s - self._times[after - 1]) / span, 0.0, 1.0)[:, None]
+        commanded: Array = (1.0 - part) * self._commands[after - 1] + part * self._commands[after]
+        return commanded

@@ -111,7 +111,8 @@ def not_guiding(packet: FeedbackPacket) -> str | None:
     if packet.motors is not Motors.ON:
         return "the motors are off; switch them on (FlexPendant: Motors On, automatic mode)"
     if packet.rapid is Rapid.STOPPED:
-        return "the RAPID program is stopped; start it (PP to Main, Start)"
+        after = ", after an EGM error (its event log says which)" if packet.mci is Mci.ERROR else ""
+        return f"the RAPID program is stopped{after}; start it (PP to Main, Start)"
     if packet.mci is Mci.ERROR:
         return "the controller reports an EGM error; its event log says which"
     if packet.mci is not Mci.RUNNING:

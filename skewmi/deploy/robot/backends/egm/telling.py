@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from skewmi.deploy.robot.status import DELAY_KEY
 from skewmi.robot_models.kinematics import ArmKinematics
 
 if TYPE_CHECKING:
@@ -41,8 +42,9 @@ def told(bridge: EgmBackend) -> dict[str, str]:
         "left_arm": "not watched" if bridge.left is None else bridge.left.summary,
         "gripper": "none" if bridge.gripper is None else bridge.gripper.problem() or "ready",
     }
-    if bridge.delay.delay_s is not None:
-        values["delay_ms"] = f"{1e3 * bridge.delay.delay_s:.1f}"
+    delay_s = bridge.delay.delay_s
+    if delay_s is not None:
+        values[DELAY_KEY] = f"{1e3 * delay_s:.1f}"
     if packet is not None:
         rate = packet.utilization
         values |= {

@@ -130,6 +130,13 @@ def test_missing_steps_are_told_in_order() -> None:
     assert watch.readiness() is None
 
 
+def test_a_program_that_an_error_has_stopped_is_told_with_it() -> None:
+    watch = watched(received(0, rapid=Rapid.STOPPED, mci=Mci.ERROR))
+    missing = watch.readiness()
+    assert missing is not None
+    assert "RAPID program is stopped, after an EGM error" in missing
+
+
 def test_ramp_is_held_after_each_beginning() -> None:
     watch = watched(*(received(n) for n in range(40)))
     assert watch.state is EgmState.GUIDING

@@ -1,0 +1,135 @@
+"""The scene's stamps are the robot server's time, whoever else tells joint states."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from robot_servers import NAMES, description
+from strangers import FALSE, LATER_NS, joints
+
+from skewmi.deploy.robot.backend import SceneState
+from skewmi.deploy.robot.egm_emulator.scene_link import SceneLink
+from skewmi.deploy.robot.process import free_port
+from skewmi.deploy.wire import topics
+from skewmi.deploy.wire.channels import LatestReader, Publisher
+from skewmi.deploy.wire.messages import TriggerReply, decode_joint_states
+from skewmi.deploy.wire.transport import Link, TransportConfig
+
+SCENE = SceneState(("lid_hinge",), np.zeros(1), np.zeros(1))
+PATIENCE_S = 10.0
+
+
+@dataclass
+class Server:
+    """What a scene needs of a robot server, and what that hears."""
+
+    joints: Publisher
+    scene: LatestReader
+
+    def stamps(self) -> list[int]:
+        """Of scene states that came since the last call."""
+        return [decode_joint_states(sample.payload).stamp_ns for sample in self.scene.drain()]
+
+
+@contextmanager
+def server(locator: str, *, names_publisher: bool = True) -> Iterator[Server]:
+    with Link.open(TransportConfig.for_robot(locator), "robot") as link:
+        told = link.publisher(topics.YUMI_JOINT_STATES)
+        named = {topics.YUMI_JOINT_STATES.name: (told.gid.hex(),)} if names_publisher else {}
+        answer = TriggerReply(True, description(publishers=named).to_json())
+        link.service(topics.YUMI_DESCRIBE, lambda request: answer)
+        yield Server(told, link.subscribe(topics.YUMI_SCENE_STATES, depth=None))
+
+
+@contextmanager
+def scene_at(locator: str) -> Iterator[SceneLink]:
+    link = SceneLink.open(
+        TransportConfig.for_client(locator), lambda: SCENE, dict, lambda seed: np.zeros(7)
+    )
+    try:
+        yield link
+    finally:
+        link.close()
+
+
+@contextmanager
+def stranger_at(locator: str) -> Iterator[Publisher]:
+    with Link.open(TransportConfig.for_client(locator), "stranger") as link:
+        yield link.publisher(topics.YUMI_JOINT_STATES)
+
+
+def until(what: Callable[[], object], each: Callable[[], None]) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not what():
+        assert time.monotonic() < deadline
+        each()
+        time.sleep(0.004)
+
+
+def test_stamps_are_of_the_robot_server_alone() -> None:
+    locator = f"tcp/127.0.0.1:{free_port()}"
+    with ExitStack() as stack:
+        robot = stack.enter_context(server(locator))
+        scene = stack.enter_context(scene_at(locator))
+        stranger = stack.enter_context(stranger_at(locator))
+        told: list[int] = []
+        heard: list[int] = []
+
+        def cycle() -> None:
+            stranger.put(FALSE[topics.YUMI_JOINT_STATES.name])
+            told.append(len(told) + 1)
+            robot.joints.put(joints(NAMES, stamp_ns=told[-1]))
+            # And behind the robot server's, where only the newest would be looked at.
+            stranger.put(joints(NAMES, stamp_ns=LATER_NS + told[-1]))
+            scene.serve()
+            heard.extend(robot.stamps())
+
+        until(lambda: len(heard) > 50, cycle)
+    assert set(heard) <= set(told)
+    assert heard == sorted(set(heard))
+
+
+def test_stranger_alone_is_no_robot_server() -> None:
+    locator = f"tcp/127.0.0.1:{free_port()}"
+    with ExitStack() as stack:
+        robot = stack.enter_context(server(locator, names_publisher=False))
+        scene = stack.enter_context(scene_at(locator))
+        stranger = stack.enter_context(stranger_at(locator))
+        ended = time.monotonic() + 1.0
+        while time.monotonic() < ended:
+            stranger.put(FALSE[topics.YUMI_JOINT_STATES.name])
+            scene.serve()
+            assert not scene.connected
+            assert robot.stamps() == []
+            time.sleep(0.004)
+
+
+def hear(scene: SceneLink, locator: str, *, others: bool) -> None:
+    """One life of a robot server, until the scene's states come in its time."""
+    with ExitStack() as stack:
+        robot = stack.enter_context(server(locator))
+        stranger = stack.enter_context(stranger_at(locator)) if others else None
+        heard: list[int] = []
+
+        def cycle() -> None:
+            robot.joints.put(joints(NAMES, stamp_ns=time.monotonic_ns()))
+            if stranger is not None:
+                stranger.put(FALSE[topics.YUMI_JOINT_STATES.name])
+            scene.serve()
+            heard.extend(robot.stamps())
+
+        until(lambda: len(heard) > 5, cycle)
+    assert max(heard) < LATER_NS
+
+
+@pytest.mark.parametrize("others", [False, True], ids=["alone", "beside a stranger"])
+def test_robot_server_that_was_started_again_is_found(others: bool) -> None:
+    locator = f"tcp/127.0.0.1:{free_port()}"
+    with scene_at(locator) as scene:
+        hear(scene, locator, others=others)
+        hear(scene, locator, others=others)
