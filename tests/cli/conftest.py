@@ -1,13 +1,15 @@
-"""One short real training run, shared by the tests of the commands that read runs."""
+"""A short real training run and a simulated robot, shared by the tests of commands."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import torch
 
 from skewmi.cli.main import main
+from skewmi.deploy.robot.process import spawn_robot
 
 
 @pytest.fixture(scope="session")
@@ -18,3 +20,10 @@ def maze_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     arguments = ["train", "--task", "point_maze", "--run-dir", str(run_dir), "--quiet", "--json"]
     assert main([*arguments, "--steps", "400", "--num-envs", "4"]) == 0
     return run_dir
+
+
+@pytest.fixture(scope="module")
+def lock_step_robot() -> Iterator[str]:
+    """Locator of a simulated robot in a process of its own, which waits for its session."""
+    with spawn_robot("sim", "open_press_close", "lab", lock_step=True) as locator:
+        yield locator

@@ -6,7 +6,6 @@ import json
 import signal
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -39,11 +38,12 @@ def one_line(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> str:
 
 
 def test_deploy_runs_a_policy_file_and_prints_one_json_document(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    lock_step_robot: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     policy = write_policy(tmp_path / "tiny.onnx", make_layout(time_input=True))
     recording = tmp_path / "run.mcap"
-    arguments = ["deploy", str(policy), "--lock-step", "--episodes", "1", "--json"]
+    arguments = ["deploy", str(policy), "--lock-step", "--connect", lock_step_robot]
+    arguments += ["--episodes", "1", "--json"]
     assert main([*arguments, "--record", str(recording)]) == 0
     report = json.loads(capsys.readouterr().out)
     assert (report["episodes"], report["successes"], report["success_rate"]) == (1, 0, 0.0)
@@ -63,18 +63,20 @@ def test_deploy_runs_a_policy_file_and_prints_one_json_document(
 
 
 def test_policy_of_another_layout_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    lock_step_robot: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     layout = replace(make_layout(), control_dt=0.2)
     policy = write_policy(tmp_path / "other.onnx", layout)
-    assert "layout" in one_line(capsys, ["deploy", str(policy), "--lock-step"])
+    there = ["--lock-step", "--connect", lock_step_robot]
+    assert "layout" in one_line(capsys, ["deploy", str(policy), *there])
 
 
 def test_policy_of_another_robot_model_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    lock_step_robot: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     policy = write_policy(tmp_path / "other.onnx", robot_model_hash="0" * 64)
-    assert "robot model" in one_line(capsys, ["deploy", str(policy), "--lock-step"])
+    there = ["--lock-step", "--connect", lock_step_robot]
+    assert "robot model" in one_line(capsys, ["deploy", str(policy), *there])
 
 
 def test_policy_of_another_task_is_refused(
@@ -132,10 +134,10 @@ def test_run_that_was_stopped_exits_1_and_tells_why(
     assert "skewmi stop" in report["stops"][0]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_interrupted_command_exits_130(tiny: Path, number: signal.Signals) -> None:
-    command = [sys.executable, "-m", "skewmi.cli.main", "deploy", str(tiny), "--json"]
-    child = subprocess.Popen(
+def deploying(policy: Path, *options: str) -> subprocess.Popen[str]:
+    """The command in a process of its own; from its first words on it ends smoothly."""
+    command = [sys.executable, "-m", "skewmi.cli.main", "deploy", str(policy), "--json", *options]
+    return subprocess.Popen(
         command,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -143,15 +145,34 @@ def test_interrupted_command_exits_130(tiny: Path, number: signal.Signals) -> No
         # The tests themselves may run under nohup.
         preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),
     )
-    assert child.stderr is not None
-    child.stderr.readline()  # From its first words on it ends smoothly.
-    time.sleep(6.0)
-    child.send_signal(number)
-    out, err = child.communicate(timeout=60.0)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_command_interrupted_in_an_episode_exits_130(
+    lock_step_robot: str, tiny: Path, number: signal.Signals
+) -> None:
+    children: list[subprocess.Popen[str]] = []
+    interrupter = once_running(lock_step_robot, lambda: children[0].send_signal(number))
+    child = deploying(tiny, "--lock-step", "--connect", lock_step_robot)
+    children.append(child)
+    out, err = child.communicate(timeout=120.0)
+    interrupter.join()
     assert child.returncode == 130, err
     assert "Traceback" not in err
-    if out:  # interrupted in an episode; else before one
-        assert json.loads(out)["interrupted"]
+    report = json.loads(out)
+    assert report["interrupted"]
+    assert report["per_episode"][0]["outcome"] == "stopped"
+
+
+def test_command_interrupted_before_an_episode_exits_130(tiny: Path) -> None:
+    child = deploying(tiny)
+    assert child.stderr is not None
+    child.stderr.readline()
+    child.send_signal(signal.SIGHUP)
+    out, err = child.communicate(timeout=120.0)
+    assert child.returncode == 130, err
+    assert "Traceback" not in err
+    assert out == "" or json.loads(out)["interrupted"]
 
 
 def test_people_are_told_of_a_dry_run_and_of_reduced_limits(tmp_path: Path) -> None:

@@ -22,13 +22,12 @@ def figures(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> dict:
     return json.loads(capfd.readouterr().out)
 
 
-@pytest.mark.parametrize("flag", ["--variation", "--twin"])
 def test_evaluate_runs_the_variation_it_is_given(
-    flag: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "robot.yaml"
     path.write_text("sensors: {lid_bias_deg: 10}\n")
-    nominal, given = figures([], capfd), figures([flag, str(path)], capfd)
+    nominal, given = figures([], capfd), figures(["--variation", str(path)], capfd)
     assert (nominal["variation"], given["variation"]) == ("nominal", str(path))
     lid = [f["final_state"]["lid_angle"]["median"] for f in (nominal, given)]
     assert lid[1] - lid[0] == pytest.approx(0.1745, abs=1e-3)

@@ -32,7 +32,7 @@ def test_scripted_motion_solves_the_task_within_all_limits(
     path = tmp_path / "run.mcap"
     report = run_deploy(
         Scripted(),
-        DeployOptions(episodes=2, seed=3, connect=lock_step_robot, lock_step=True, record=path),
+        DeployOptions(seed=3, connect=lock_step_robot, lock_step=True, record=path),
     )
     assert report.success_rate == 1.0, report.as_dict()
     assert report.missed_cycles == 0

@@ -81,18 +81,22 @@ def describe(locator: str) -> RobotDescription:
 
 
 def once_running(locator: str, what: Callable[[], object]) -> threading.Thread:
-    """Do something when a policy commands the arm; a thread that has been started."""
+    """Do something when a policy commands the arm; a thread that already listens."""
+    listens = threading.Event()
 
     def watch() -> None:
         with Link.open(TransportConfig.for_client(locator), "watcher") as link:
             statuses = link.subscribe(topics.YUMI_STATUS, depth=None)
-            deadline = time.monotonic() + 60.0
+            link.wait_for_robot(60.0)
+            listens.set()
+            deadline = time.monotonic() + 120.0
             while not any(map(_says_running, statuses.drain())) and time.monotonic() < deadline:
                 time.sleep(0.05)
         what()
 
     thread = threading.Thread(target=watch)
     thread.start()
+    assert listens.wait(60.0)
     return thread
 
 

@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 import signal
-import socket
-import subprocess
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from drawn import drawn, rows
-from scripted_open_press_close import ScriptedOpenPressClose
+from live_views import PATIENT_MS, Scripted, about_the_view, gathering_viewer
 
 from skewmi.cli.main import main
 from skewmi.deploy import run as deploy_run
@@ -25,56 +19,53 @@ from skewmi.deploy.recording.reader import read_recording
 from skewmi.deploy.replay import viewer
 from skewmi.deploy.replay.assembler import RunAssembler, understand
 from skewmi.deploy.replay.data import Run, Subject
-from skewmi.deploy.replay.live import LiveView
 from skewmi.deploy.replay.live_options import LiveOptions
 from skewmi.deploy.replay.replay import write_replay
 from skewmi.deploy.report import DeployReport
 from skewmi.deploy.robot.process import free_port
 from skewmi.errors import ConfigurationError
 from skewmi.policy_io import Array
-from skewmi.sim.tasks.open_press_close.definition import make_layout
 
 
-class Scripted(ScriptedOpenPressClose):
-    """The script for some steps; something happens at one of them."""
+class StoppedAgain(Scripted):
+    """The script for one episode; some steps after the next start somebody asks for the end."""
 
-    def __init__(self, steps: int = 1000, at_step: int = -1, what: Any = None) -> None:
-        super().__init__(make_layout())
-        self._steps, self._at_step, self._what = steps, at_step, what
-
-    def reset(self) -> None:
-        super().reset()
-        self.count = 0
+    def __init__(self, stop: threading.Event) -> None:
+        super().__init__(at_step=15, what=lambda: stop.set() if self.done else None)
+        self.done = False
 
     def act(self, observation: Array) -> Array:
-        self.count += 1
-        if self.count == self._at_step:
-            self._what()
-        if self.count > self._steps:
-            raise ValueError("enough")
-        return super().act(observation)
+        action = super().act(observation)
+        self.done |= self.phase == self.PHASES[-1]
+        return action
 
 
 @pytest.fixture(scope="module")
-def deployed(tmp_path_factory: pytest.TempPathFactory) -> tuple[DeployReport, Path, Path]:
-    """Two episodes in lock-step: report, recording, what the live view showed."""
-    folder = tmp_path_factory.mktemp("live")
+def deployed(
+    tmp_path_factory: pytest.TempPathFactory, lock_step_robot: str
+) -> tuple[DeployReport, Path, Path]:
+    """A success and the begin of an episode: report, recording, what the live view showed."""
+    folder, stop = tmp_path_factory.mktemp("live"), threading.Event()
     recording, shown = folder / "run.mcap", folder / "live.rrd"
     options = DeployOptions(
-        episodes=2, lock_step=True, record=recording, live=LiveOptions(out=shown)
+        episodes=2,
+        connect=lock_step_robot,
+        lock_step=True,
+        record=recording,
+        live=LiveOptions(out=shown),
     )
-    return deploy_run.run_deploy(Scripted(), options), recording, shown
+    return deploy_run.run_deploy(StoppedAgain(stop), options, stop=stop), recording, shown
 
 
 def test_live_view_holds_every_sample_of_the_replay(
     deployed: tuple[DeployReport, Path, Path], tmp_path: Path
 ) -> None:
     report, recording, shown = deployed
-    assert report.successes == 2, report.as_dict()
+    assert [episode.outcome for episode in report.episodes] == ["success", "stopped"]
     assert report.notes == []
     assert report.files == [str(recording), str(shown)]
     replay = write_replay(recording, tmp_path / "replay.rrd")
-    assert len(replay.success_s) == 2
+    assert len(replay.success_s) == 1
     expected, live = rows(tmp_path / "replay.rrd"), rows(shown)
     once = {entity for entity in expected if not entity.endswith(("/limit", "/box", "/range"))}
     assert {"/events", "/policy/observation", "/policy/observation_in_range/success"} <= once
@@ -101,9 +92,11 @@ def test_what_is_drawn_is_the_run_of_the_report(
             # The report counts braking tails, too, which nothing has executed.
             assert 0.5 * used < largest <= used + 1e-6, quantity
         observations = drawn(path, "/policy/observation")
-        finals = [list(episode.final_observation.values()) for episode in report.episodes]
-        ends = np.cumsum([episode.steps + 1 for episode in report.episodes]) - 1
-        np.testing.assert_allclose(observations[ends], finals, atol=1e-9)
+        first, second = report.episodes
+        final = list(first.final_observation.values())
+        np.testing.assert_allclose(observations[first.steps], final, atol=1e-9)
+        # Whoever asks for the end does not wait for another observation.
+        assert len(observations) == first.steps + 1 + second.steps
         actions = drawn(path, "/policy/action/fields")
         assert len(actions) == sum(episode.steps for episode in report.episodes)
         pulses = drawn(path, "/policy/observation_in_range/success")
@@ -160,97 +153,26 @@ def test_pieces_add_up_to_the_whole(deployed: tuple[DeployReport, Path, Path], s
     assert sorted(texts) == sorted(status.message for _, status in whole.events)
 
 
-@contextlib.contextmanager
-def gathering_viewer(path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
-    """Rerun as a viewer without a screen: takes what comes over gRPC into a file."""
-    port = free_port()
-    child = subprocess.Popen(
-        [viewer._executable(), "--save", path, "--port", str(port), "--bind", "127.0.0.1"],
-        stderr=subprocess.DEVNULL,
-    )
-    try:
-        deadline = time.monotonic() + 20.0
-        while True:
-            with contextlib.suppress(OSError):
-                socket.create_connection(("127.0.0.1", port), 0.2).close()
-                break
-            assert time.monotonic() < deadline, "the viewer does not start"
-            time.sleep(0.05)
-        yield f"rerun+http://127.0.0.1:{port}/proxy", child
-    finally:
-        child.send_signal(signal.SIGCONT)
-        child.kill()
-        child.wait()
-
-
-def watched(monkeypatch: pytest.MonkeyPatch) -> list[LiveView]:
-    """Live views that deployments open from now on."""
-    views: list[LiveView] = []
-
-    class Watched(LiveView):
-        def __init__(self, *args: Any) -> None:
-            super().__init__(*args)
-            views.append(self)
-
-    monkeypatch.setattr(deploy_run, "LiveView", Watched)
-    return views
-
-
-def test_real_time_run_over_grpc_arrives_at_the_viewer(tmp_path: Path) -> None:
+def test_real_time_run_over_grpc_arrives_at_the_viewer(robot: str, tmp_path: Path) -> None:
     recording, shown = tmp_path / "run.mcap", tmp_path / "viewer.rrd"
     with gathering_viewer(shown) as (url, child):
+        live = LiveOptions(connect=url)
         report = deploy_run.run_deploy(
-            Scripted(25), DeployOptions(record=recording, live=LiveOptions(connect=url))
+            Scripted(25),
+            DeployOptions(connect=robot, record=recording, live=live, lead_ms=PATIENT_MS),
         )
         child.send_signal(signal.SIGINT)
         child.wait(20.0)
-    assert report.notes == []
-    assert report.episodes[0].steps == 25
-    run, live = understand(read_recording(recording)), rows(shown)
-    assert live["/joints/velocity/of_limit"] == len(run.commanded.time_s) > 500
-    assert live["/policy/action/fields"] == 25
+    assert about_the_view(report) == []
+    assert report.episodes[0].steps == 25, report.as_dict()
+    run, live_rows = understand(read_recording(recording)), rows(shown)
+    assert live_rows["/joints/velocity/of_limit"] == len(run.commanded.time_s) > 500
+    assert live_rows["/policy/action/fields"] == 25
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "hung"])
-@pytest.mark.parametrize("lock_step", [True, False], ids=["lock-step", "real time"])
-def test_view_that_dies_or_hangs_leaves_the_run_alone(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, number: signal.Signals, lock_step: bool
-) -> None:
-    views = watched(monkeypatch)
-    policy = Scripted(150, 20, lambda: os.kill(views[0].pid, number))
-    live = LiveOptions(out=tmp_path / "live.rrd")
-    report = deploy_run.run_deploy(policy, DeployOptions(lock_step=lock_step, live=live))
-    (episode,) = report.episodes
-    assert episode.steps >= 100, episode.reason
-    assert episode.outcome == "success" or "enough" in episode.reason
-    (note,) = report.notes
-    assert ("hung" if number == signal.SIGSTOP else "ended early") in note
-    if not lock_step:  # there, all is over before much is drawn
-        assert rows(tmp_path / "live.rrd")["/policy/action/fields"] >= 5
-
-
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "hung"])
-def test_viewer_that_dies_or_hangs_leaves_the_run_alone(
-    tmp_path: Path, number: signal.Signals
-) -> None:
-    kept = tmp_path / "live.rrd"
-    with gathering_viewer(tmp_path / "viewer.rrd") as (url, child):
-        policy = Scripted(60, 20, lambda: child.send_signal(number))
-        live = LiveOptions(connect=url, out=kept)
-        ended = threading.Event()
-        started = time.monotonic()
-        report = deploy_run.run_deploy(policy, DeployOptions(live=live), stop=ended)
-        took_s = time.monotonic() - started
-    assert report.episodes[0].steps == 60, report.as_dict()
-    assert took_s < 45.0
-    assert all("live view" in note for note in report.notes)
-    # The file beside the viewer is whole all the same, up to the last drawing of 0.1 s: that one
-    # may be under way when the view of a hung viewer is given up.
-    assert rows(kept)["/policy/action/fields"] in (59, 60), report.notes
-
-
-def one_line(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> str:
-    assert main(["deploy", "open_press_close", "--lock-step", *arguments]) == 2
+def one_line(capsys: pytest.CaptureFixture[str], robot: str, arguments: list[str]) -> str:
+    lock_step = ["--lock-step", "--connect", robot]
+    assert main(["deploy", "open_press_close", *lock_step, *arguments]) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
     lines = [line for line in captured.err.splitlines() if line.startswith("skewmi deploy: ")]
@@ -260,7 +182,10 @@ def one_line(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> str:
 
 
 def test_bad_places_are_one_line(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    lock_step_robot: str,
 ) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
         monkeypatch.delenv(name, raising=False)
@@ -274,7 +199,7 @@ def test_bad_places_are_one_line(
         (["--live-out", str(there / "x.rrd")], "is a file"),
         (["--live-out", str(there)], "exists"),
     ):
-        assert complaint in one_line(capsys, arguments)
+        assert complaint in one_line(capsys, lock_step_robot, arguments)
     assert there.read_bytes() == b"precious"
     unused = f"rerun+http://127.0.0.1:{free_port()}/proxy"
     with pytest.raises(ConfigurationError, match=r"no screen.*do this instead"):

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from scripted_runs import give_up
 
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.recording.reader import read_recording
-from skewmi.deploy.robot.process import spawn_robot
 from skewmi.deploy.run import run_deploy
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.messages import decode_chunk, decode_joint_states
@@ -19,10 +19,12 @@ from skewmi.sim.arm import definition
 from skewmi.sim.tasks.open_press_close.definition import make_layout
 
 STEPS_ASIDE = 5
+STEPS = 100
+"""Contact, a second to come back from it, and six seconds on the lid."""
 
 
 class LeanOnTheLid:
-    """Moves off the handle, then down with all it may command, for the rest of the episode."""
+    """Moves off the handle, then down with all it may command, until it has had enough."""
 
     def __init__(self, layout: PolicyLayout) -> None:
         self.layout = layout
@@ -32,6 +34,8 @@ class LeanOnTheLid:
 
     def act(self, observation: Array) -> Array:
         self.count += 1
+        if self.count > STEPS:
+            give_up()
         return np.array([0.0, 1.0, 0.0] if self.count <= STEPS_ASIDE else [0.0, 0.0, -1.0])
 
 
@@ -60,17 +64,14 @@ def hands(path: Path) -> tuple[Array, Array]:
 
 
 def test_the_following_error_of_a_deployed_hand_on_the_lid_is_that_of_a_blocked_one(
-    tmp_path: Path,
+    lock_step_robot: str, tmp_path: Path
 ) -> None:
     layout = make_layout()
     assert layout.workspace is not None
     path = tmp_path / "lean.mcap"
-    with spawn_robot("sim", "open_press_close", "lab", lock_step=True) as robot:
-        options = DeployOptions(
-            episodes=1, connect=robot, lock_step=True, record=path, start_spread=0.0
-        )
-        report = run_deploy(LeanOnTheLid(layout), options)
-    assert report.episodes[0].outcome == "time over", report.as_dict()
+    options = DeployOptions(connect=lock_step_robot, lock_step=True, record=path, start_spread=0.0)
+    report = run_deploy(LeanOnTheLid(layout), options)
+    assert report.episodes[0].reason == "enough", report.as_dict()
     measured, commanded = hands(path)
     error = np.linalg.norm(commanded - measured, axis=1)
     # At 150 mm/s, 24 ms of chunks under way and the limits on braking: at most this, once.
@@ -79,5 +80,6 @@ def test_the_following_error_of_a_deployed_hand_on_the_lid_is_that_of_a_blocked_
     # A second later the command has come back to what it may be of a blocked hand, on average: a
     # policy that goes on pushing makes it swing, by the delay between command and contact.
     standing = error[contact + 50 : contact + 350]
+    assert len(standing) == 300
     held = layout.workspace.held_following_error * definition.HAND_STEP
     assert 0.5 * held < standing.mean() < 2.5 * held
