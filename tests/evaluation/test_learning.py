@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import subprocess
+import runpy
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -107,17 +107,35 @@ def test_a_run_without_a_checkpoint_is_refused(runs: list[Path], tmp_path: Path)
         read_record(tmp_path)
 
 
-def benchmark(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, str(BENCHMARK), *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+def benchmark(
+    *arguments: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> tuple[int, str, str]:
+    """Exit code and what is said; in this process, because importing torch takes seconds."""
+    monkeypatch.setattr(sys, "argv", [str(BENCHMARK), *arguments])
+    monkeypatch.syspath_prepend(BENCHMARK.parent)
+    capfd.readouterr()
+    try:
+        with pytest.raises(SystemExit) as ended:
+            runpy.run_path(str(BENCHMARK), run_name="__main__")
+    finally:
+        sys.modules.pop("common", None)
+    code = ended.value.code
+    assert isinstance(code, int)
+    return code, *capfd.readouterr()
 
 
-def test_document_keeps_failures(runs: list[Path], tmp_path: Path) -> None:
+def test_document_keeps_failures(
+    runs: list[Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
     out = tmp_path / "result.json"
     arguments = ["--runs", *map(str, runs), "--episodes", "2", "--out", str(out), "--json"]
-    done = benchmark(*arguments, "--concurrent", "2")
-    assert done.returncode == 0, done.stderr
-    document = json.loads(done.stdout)
+    arguments += ["--concurrent", "2"]
+    code, said, error = benchmark(*arguments, monkeypatch=monkeypatch, capfd=capfd)
+    assert code == 0, error
+    document = json.loads(said)
     assert document == json.loads(out.read_text())
     assert (document["converged_runs"], document["runs_in_all"]) == (0, 2)
     assert document["medians"]["converged_after_trajectories"] is None
@@ -134,9 +152,15 @@ def test_document_keeps_failures(runs: list[Path], tmp_path: Path) -> None:
     assert iio.imread(tmp_path / "result.png").std() > 5.0
 
 
-def test_runs_that_do_not_belong_together_are_refused(runs: list[Path], tmp_path: Path) -> None:
-    done = benchmark("--runs", str(runs[0]), str(runs[0]), "--out", str(tmp_path / "x.json"))
-    assert done.returncode == 2
-    assert "repeat" in done.stderr
-    assert done.stderr.count("\n") == 1
+def test_runs_that_do_not_belong_together_are_refused(
+    runs: list[Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    arguments = ("--runs", str(runs[0]), str(runs[0]), "--out", str(tmp_path / "x.json"))
+    code, _, error = benchmark(*arguments, monkeypatch=monkeypatch, capfd=capfd)
+    assert code == 2
+    assert "repeat" in error
+    assert error.count("\n") == 1
     assert not (tmp_path / "x.json").exists()
