@@ -32,6 +32,8 @@ from skewmi.policy_io import Array
 from skewmi.trajectory import GRID_NS
 
 SUPPORT = Path(__file__).parents[1] / "support"
+PATIENT_MS = 100.0
+"""Lead of runs that nothing but what is tried shall stop, on a busy machine, too."""
 
 
 def test_skewmi_stop_stops_a_run_within_limits(
@@ -45,7 +47,7 @@ def test_skewmi_stop_stops_a_run_within_limits(
         return action
 
     path = tmp_path / "run.mcap"
-    options = DeployOptions(episodes=3, connect=robot, record=path)
+    options = DeployOptions(episodes=3, connect=robot, record=path, lead_ms=PATIENT_MS)
     report = run_deploy(Scripted(8, begin_to_stop), options)
     stopper.join()
     assert codes == [0]
@@ -65,7 +67,7 @@ def test_interrupt_stops_smoothly(robot: str, tmp_path: Path) -> None:
         return action
 
     path = tmp_path / "run.mcap"
-    options = DeployOptions(episodes=3, connect=robot, record=path)
+    options = DeployOptions(episodes=3, connect=robot, record=path, lead_ms=PATIENT_MS)
     report = run_deploy(Scripted(8, interrupt), options, stop=stop)
     assert report.interrupted
     assert [episode.outcome for episode in report.episodes] == ["stopped"]
@@ -168,7 +170,7 @@ def test_second_session_is_refused_and_the_first_goes_on(robot: str) -> None:
                 raise ValueError("enough")
             return super().act(observation)
 
-    reports["first"] = run_deploy(First(), DeployOptions(connect=robot))
+    reports["first"] = run_deploy(First(), DeployOptions(connect=robot, lead_ms=PATIENT_MS))
     second.join()
     assert reports["first"].episodes[0].steps >= 39
     assert "enough" in reports["first"].episodes[0].reason

@@ -100,7 +100,7 @@ def robot_and_peer() -> Iterator[tuple[str, Peer]]:
             peer.close()
 
 
-def eventually(condition: Callable[[], Any], timeout_s: float = 10.0) -> Any:
+def eventually(condition: Callable[[], Any], timeout_s: float = 60.0) -> Any:
     deadline = time.monotonic() + timeout_s
     while not (value := condition()):
         assert time.monotonic() < deadline, "never became true"

@@ -169,7 +169,9 @@ class RobotClient:
             if description.state == ServerState.FAULT.value:
                 raise TransportError(f"the robot server is in fault: {description.reason}")
             if description.state != ServerState.EXECUTING.value:
-                raise StopRequestedError(f"the robot server is {description.state}")
+                raise StopRequestedError(
+                    f"the robot server is {description.state}: {description.reason}"
+                )
             if time.monotonic() > deadline:
                 raise TransportError(f"the arm does not rest within {REST_TIMEOUT_S:g} s")
             time.sleep(0.02)
