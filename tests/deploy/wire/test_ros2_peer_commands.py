@@ -29,6 +29,11 @@ from ros2_peer_process import (
 STEP = 0.08 * np.array([1, -0.5, 0, 0.5, 0, 1, 0])
 
 
+ATTEMPTS = 5
+"""For commands that a busy machine makes late: they may be 500 ms ahead at most."""
+LATE = "in the past of the robot server's clock"
+
+
 @pytest.fixture(scope="module")
 def peer() -> Iterator[Peer]:
     with robot_and_peer() as (_, peer):
@@ -56,12 +61,28 @@ def armed(peer: Peer) -> Message:
     return peer.describe()
 
 
+def executed(peer: Peer, duration_s: float = 1.0) -> tuple[Message, np.ndarray, dict[str, str]]:
+    """Publish a good trajectory; again if this computer is too busy for it to be in time.
+
+    Returns:
+        What the server said about itself before, where the arm was, and the status that tells that
+        it moves.
+    """
+    for _ in range(ATTEMPTS):
+        server, before = armed(peer), peer.position()
+        peer.ask("publish", topic=COMMANDS, message=trajectory(server, STEP, duration_s))
+        told = eventually(
+            lambda: [s for s in peer.statuses() if s["state"] == "executing" or s["refusal"]]
+        )[0]
+        if not told["refusal"]:
+            return server, before, told
+        assert LATE in told["refusal"]
+    raise AssertionError("too busy for a stamp 400 ms ahead")
+
+
 def test_trajectory_that_keeps_the_rules_is_executed(peer: Peer, commander: str) -> None:
-    server = armed(peer)
-    before = peer.position()
-    peer.ask("publish", topic=COMMANDS, message=trajectory(server, STEP))
-    moving = eventually(lambda: [s for s in peer.statuses() if s["state"] == "executing"])
-    assert moving[0]["commander"] == commander
+    server, before, moving = executed(peer)
+    assert moving["commander"] == commander
     eventually(lambda: peer.describe()["state"] == "holding")
     np.testing.assert_allclose(peer.position()[:7] - before[:7], STEP, atol=5e-3)
     np.testing.assert_allclose(
@@ -70,11 +91,14 @@ def test_trajectory_that_keeps_the_rules_is_executed(peer: Peer, commander: str)
 
 
 def test_stop_by_a_peer_brakes_the_arm_on_its_way(peer: Peer, commander: str) -> None:
-    server = armed(peer)
-    peer.ask("publish", topic=COMMANDS, message=trajectory(server, STEP, 1.5))
-    start = np.array(server["commanded_position"])
-    eventually(lambda: np.abs(peer.position()[:7] - start).max() > 0.01)
-    assert peer.call("/yumi/stop") == (True, "stopping")
+    for _ in range(ATTEMPTS):
+        server, _, _ = executed(peer, 1.996)
+        start = np.array(server["commanded_position"])
+        eventually(lambda start=start: np.abs(peer.position()[:7] - start).max() > 0.01)
+        answer = peer.call("/yumi/stop")
+        if answer != (True, "disarmed"):  # as if it had already arrived
+            break
+    assert answer == (True, "stopping")
     eventually(lambda: peer.describe()["state"] == "disarmed")
 
 
@@ -152,7 +176,7 @@ BROKEN_RULES: dict[str, tuple[Callable[[Message], Message], str]] = {
     ),
     "too late": (
         lambda server: trajectory(server, STEP, ahead_ns=-400_000_000),
-        "in the past of the robot server's clock",
+        LATE,
     ),
     "too early": (
         lambda server: trajectory(server, STEP, ahead_ns=20_000_000_000),
@@ -182,11 +206,14 @@ def test_trajectory_that_breaks_a_rule_is_refused_with_the_reason(
     peer: Peer, commander: str, rule: str
 ) -> None:
     make, reason = BROKEN_RULES[rule]
-    armed(peer)
-    earlier = eventually(lambda: [s for s in peer.statuses() if s.get("event") == "arm"])[0]
-    server = peer.describe()
-    peer.ask("publish", topic=COMMANDS, message=make(server))
-    told = eventually(lambda: [s for s in peer.statuses() if s["refusal"]])[0]
+    for _ in range(ATTEMPTS):
+        armed(peer)
+        earlier = eventually(lambda: [s for s in peer.statuses() if s.get("event") == "arm"])[0]
+        server = peer.describe()
+        peer.ask("publish", topic=COMMANDS, message=make(server))
+        told = eventually(lambda: [s for s in peer.statuses() if s["refusal"]])[0]
+        if LATE not in told["refusal"] or reason == LATE:
+            break
     assert re.search(reason, told["refusal"]), told["refusal"]
     assert told["level"] == 1
     assert told["accepted"] == earlier["accepted"]
@@ -216,9 +243,8 @@ def test_arm_stays_where_it_is_through_all_of_them(peer: Peer, commander: str) -
 
 def test_second_peer_does_not_get_the_arm(peer: Peer, commander: str) -> None:
     other = peer.ask("publisher", topic=COMMANDS, type_name=TRAJECTORY, name="other")["gid"]
-    server = armed(peer)
-    peer.ask("publish", topic=COMMANDS, message=trajectory(server, STEP))
-    eventually(lambda: [s for s in peer.statuses() if s["commander"] == commander])
+    server, _, moving = executed(peer)
+    assert moving["commander"] == commander
     success, reason = peer.call("/yumi/arm")
     assert not success
     assert f"commander {commander[:8]} holds the arm" in reason

@@ -79,15 +79,11 @@ def test_deploy_runs_and_records_over_the_secured_link(
         recorded = read_recording(path).messages
         for topic in topics.TOPICS:
             assert recorded[topic.name], f"{topic.name} was not recorded"
-        # The same from the command line, with a policy file; nothing is started beside it.
-        policy = next((Path(main.__code__.co_filename).parents[1] / "policies").glob("*.onnx"))
-        arguments = ["--zenoh-config", str(link.file(Role.COMMANDER)), "--lock-step", "--json"]
-        assert main(["deploy", str(policy), *arguments]) == 0
-        said = json.loads(capsys.readouterr().out)
-        assert said["episodes"] == 1
-        assert said["robot"] == str(link.file(Role.COMMANDER))
-        # Real time against lock-step: it is this robot server that was asked, none of its own.
-        assert main(["deploy", str(policy), *arguments[:2]]) == 2
+        assert report.robot == str(link.file(Role.COMMANDER))
+        # From the command line real time against lock-step: it is this robot server that is
+        # asked, and none of its own is started beside it.
+        arguments = ["--zenoh-config", str(link.file(Role.COMMANDER))]
+        assert main(["deploy", "open_press_close", *arguments]) == 2
         assert "lock-step" in capsys.readouterr().err
 
 
