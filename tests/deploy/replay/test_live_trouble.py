@@ -45,23 +45,25 @@ def wait_for_actions(shown: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("number", "steps", "note"),
+    ("lock_step", "number", "steps", "note"),
     [
-        (signal.SIGKILL, 40, "ended early"),
-        # In real time long enough that it is ended while the arm moves.
-        (signal.SIGSTOP, 80, "hung"),
+        pytest.param(True, signal.SIGKILL, 40, "ended early", id="lock-step-killed"),
+        pytest.param(True, signal.SIGSTOP, 40, "hung", id="lock-step-hung"),
+        pytest.param(
+            False, signal.SIGKILL, 40, "ended early", id="real time-killed", marks=pytest.mark.slow
+        ),
+        # Long enough that it is ended while the arm moves.
+        pytest.param(False, signal.SIGSTOP, 80, "hung", id="real time-hung"),
     ],
-    ids=["killed", "hung"],
 )
-@pytest.mark.parametrize("lock_step", [True, False], ids=["lock-step", "real time"])
 def test_view_that_dies_or_hangs_leaves_the_run_alone(
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
     request: pytest.FixtureRequest,
+    lock_step: bool,
     number: signal.Signals,
     steps: int,
     note: str,
-    lock_step: bool,
 ) -> None:
     views, shown = watched(monkeypatch), tmp_path / "live.rrd"
 
@@ -85,7 +87,13 @@ def test_view_that_dies_or_hangs_leaves_the_run_alone(
         assert rows(shown)["/policy/action/fields"] >= 5
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "hung"])
+@pytest.mark.parametrize(
+    "number",
+    [
+        pytest.param(signal.SIGKILL, id="killed", marks=pytest.mark.slow),
+        pytest.param(signal.SIGSTOP, id="hung"),
+    ],
+)
 def test_viewer_that_dies_or_hangs_leaves_the_run_alone(
     robot: str, tmp_path: Path, number: signal.Signals
 ) -> None:
