@@ -165,20 +165,18 @@ class RobotClient:
             TransportError: It does not come to rest, or is in fault.
         """
         deadline = time.monotonic() + REST_TIMEOUT_S
-        while (description := self._ask()).state != ServerState.HOLDING.value:
-            if description.state == ServerState.FAULT.value:
-                raise TransportError(f"the robot server is in fault: {description.reason}")
-            if description.state != ServerState.EXECUTING.value:
-                raise StopRequestedError(
-                    f"the robot server is {description.state}: {description.reason}"
-                )
+        while (told := self._ask()).state != ServerState.HOLDING.value:
+            if told.state == ServerState.FAULT.value:
+                raise TransportError(f"the robot server is in fault: {told.reason}")
+            if told.state != ServerState.EXECUTING.value:
+                raise StopRequestedError(f"the robot server is {told.state}: {told.reason}")
             if time.monotonic() > deadline:
                 raise TransportError(f"the arm does not rest within {REST_TIMEOUT_S:g} s")
             time.sleep(0.02)
         for status in self._news():
             with suppress(LateChunkError):
                 self._refused.check(status, late_is_final=False)
-        return np.array(description.commanded_position)
+        return np.array(told.commanded_position)
 
     def disarm(self) -> RobotDescription | None:
         """Give the arm back, and wait until the tail has been followed to its end.

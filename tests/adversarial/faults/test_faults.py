@@ -46,8 +46,10 @@ CASES = [
         marks=() if _is_fast(row, case) else pytest.mark.slow,
     )
     # Those of a bench come together, since starting one takes its time.
-    for row in sorted(ROWS, key=lambda row: bench_of(row.fault))
-    for case in row.cases
+    for row, case in sorted(
+        ((row, case) for row in ROWS for case in row.cases),
+        key=lambda tried: bench_of(tried[1].fault),
+    )
 ]
 
 
