@@ -195,7 +195,12 @@ class CommandIntegrator:
         self._seen_ns = 0
 
     def watch(
-        self, hand_w: Array, since_ns: int, *, commanded_w: Array | None = None
+        self,
+        hand_w: Array,
+        since_ns: int,
+        *,
+        commanded_w: Array | None = None,
+        coming_error_w: Array | float = 0.0,
     ) -> NDArray[np.int64]:
         """End the lines of hands that are blocked, where they are commanded to be now.
 
@@ -209,6 +214,9 @@ class CommandIntegrator:
             commanded_w: Where the hand was commanded to be when it was measured, for a caller
                 whose commands take time; clipped to the box where a line ends. Without it, it is
                 the line's point after `since_ns`. Shape (n, 3).
+            coming_error_w: What will be added to the following error before the end of a line
+                shows in the hand's command, m: for the same caller, or it would always end too
+                late. Shape (n, 3).
 
         Returns:
             Indices of the arms whose line has ended with this call.
@@ -222,7 +230,8 @@ class CommandIntegrator:
             commanded_w = self.begin_w + done * (self.position_w - self.begin_w)
         travel_w = (hand_w - self._seen_w) * (self._step_ns / elapsed_ns)
         self._seen_w, self._seen_ns = hand_w, since_ns
-        blockage = present_blockage(self._layout, commanded_w - hand_w, travel_w)
+        error_w = commanded_w - hand_w + coming_error_w
+        blockage = present_blockage(self._layout, error_w, travel_w)
         # A command that comes back to the hand shall do so.
         away = np.linalg.norm(self.position_w - hand_w, axis=1)
         away -= np.linalg.norm(commanded_w - hand_w, axis=1)

@@ -161,3 +161,36 @@ def test_without_a_gripper_action_the_fingers_keep_their_opening() -> None:
 def test_an_integrator_needs_a_workspace() -> None:
     with pytest.raises(ConfigurationError, match="workspace"):
         CommandIntegrator(dataclasses.replace(LAYOUT, workspace=None), TRAVEL)
+
+
+def lines_against_a_wall(speed: float, coming: float) -> float:
+    """Error at which the line of a hand ends that has met a wall while the command goes on, m."""
+    integrator = CommandIntegrator(LAYOUT, TRAVEL)
+    hand = np.array([WORKSPACE.start])
+    integrator.start(hand)
+    push = np.array([[0.0, speed, 0.0, 0.0]])
+    # The first line it may follow; into the second the wall comes.
+    integrator.begin_step(push, hand)
+    hand = integrator.position_w.copy()
+    integrator.begin_step(push, hand)
+    for look in range(1, 5):
+        done = look * 20_000_000 / round(LAYOUT.control_dt * 1e9)
+        error = done * (integrator.position_w - integrator.begin_w)
+        held = integrator.watch(
+            hand, look * 20_000_000, coming_error_w=coming * np.array([[0.0, 1.0, 0.0]])
+        )
+        if held.size:
+            return float(np.linalg.norm(error))
+    return float("inf")
+
+
+@given(st.floats(0.7, 1.0), st.floats(0.0, 0.005), st.floats(0.0, 0.005))
+def test_a_line_ends_the_sooner_the_more_error_is_still_to_come(
+    speed: float, coming: float, more: float
+) -> None:
+    bound = WORKSPACE.stop_blockage * LAYOUT.action_scale[1]
+    error = lines_against_a_wall(speed, coming)
+    assert lines_against_a_wall(speed, coming + more) <= error
+    # The hand stands still: what it is behind, with what is to come, has just passed the bound.
+    step = speed * LAYOUT.action_scale[1] * 0.2
+    assert bound < error + coming <= bound + step + 1e-12 or error == np.inf

@@ -29,6 +29,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 import ruckig
@@ -44,6 +45,13 @@ FEEDBACK_PHASE = 0.5
 velocity slowly get a smaller gain, as x would swing around r otherwise."""
 
 Vector = Sequence[float]
+
+
+class MovingPoint(Protocol):
+    """Something with a position, m, and a velocity, m/s, in the world. Each of shape (3,)."""
+
+    position_w: Array
+    velocity_w: Array
 
 
 class Reference:
@@ -89,6 +97,8 @@ class CartesianShaper:
         speed: Largest |velocity|, m/s.
         acceleration: Largest |acceleration| per axis, m/s^2.
         jerk: Largest |jerk| per axis, m/s^3.
+        reference_delay_s: By how much the reference that it is given lags behind the command
+            already, s: x need not lag behind that reference by as much more.
     """
 
     def __init__(
@@ -99,12 +109,14 @@ class CartesianShaper:
         speed: float,
         acceleration: float,
         jerk: float,
+        reference_delay_s: float = 0.0,
     ) -> None:
         self._low: list[float] = np.asarray(low, dtype=np.float64).tolist()
         self._high: list[float] = np.asarray(high, dtype=np.float64).tolist()
         self._speed = speed
         self._acceleration = acceleration
         self._jerk = jerk
+        self._reference_delay_s = reference_delay_s
         self._gain = min(FEEDBACK_GAIN, FEEDBACK_PHASE * jerk / acceleration)
         self._otg = ruckig.Ruckig(3)
         self._trajectory = ruckig.Trajectory(3)
@@ -134,7 +146,7 @@ class CartesianShaper:
         self._v = self._clip_to_box(self._clip_speed(velocity_w.tolist()))
         self._a = [0.0] * 3
 
-    def step(self, reference: Reference, hand_position_w: Array, leash: float) -> None:
+    def step(self, reference: MovingPoint, hand_position_w: Array, leash: float) -> None:
         """Advance by one grid step towards the reference.
 
         Args:
@@ -173,11 +185,14 @@ class CartesianShaper:
         return self._trajectory.at_time(duration)[0], duration
 
     def _lag(self, change: float) -> float:
-        """Half of the time that a change of velocity along an axis takes, s."""
+        """Half of the time that a change of velocity along an axis takes, s, less the reference's
+        own delay."""
         ramp = self._acceleration / self._jerk
         if change > self._acceleration * ramp:
-            return 0.5 * (change / self._acceleration + ramp)
-        return math.sqrt(change / self._jerk)
+            half = 0.5 * (change / self._acceleration + ramp)
+        else:
+            half = math.sqrt(change / self._jerk)
+        return max(0.0, half - self._reference_delay_s)
 
     def _keep_near(self, velocity_w: list[float], hand_w: Vector, leash: float) -> list[float]:
         """Take away what would lead x further away from the hand than the leash."""

@@ -15,8 +15,9 @@ from skewmi.robot_models.limits import JointLimits
 MAX_ACCELERATION = 2.5
 """Per axis, m/s^2; a quarter of what ABB's data sheet gives for the tool."""
 
-MAX_JERK = 80.0
-"""Per axis, m/s^3: the acceleration is reached in 30 ms."""
+MAX_JERK = 40.0
+"""Per axis, m/s^3: the acceleration is reached in 60 ms. With more, a stop at full speed has too
+much of its acceleration above 10 Hz."""
 
 SHARE = 0.8
 """Part of the joint limits that the shaped hand motion may ask for; the rest is for feedback,

@@ -30,6 +30,7 @@ from skewmi.deploy.motion.cartesian_shaper import CartesianShaper, Reference
 from skewmi.deploy.motion.differential_ik import FEEDBACK_RATE, DifferentialIk
 from skewmi.deploy.motion.hand_bounds import HandBounds, derive_hand_bounds
 from skewmi.deploy.motion.joint_shaper import JointShaper
+from skewmi.deploy.motion.smoothing import DELAY_S, FORESEEN, SmoothedReference
 from skewmi.deploy.safety.limits import TCP_SPEED_LIMIT, WORKSPACE_TOLERANCE
 from skewmi.errors import ConfigurationError, KinematicsError, LimitViolationError
 from skewmi.policy_io import Workspace
@@ -80,6 +81,7 @@ class Planner:
         self._ik = DifferentialIk(posture, self._rotation)
         self._hand = _shaper(self._low, self._high, self.hand_bounds)
         self._reference = Reference(np.array(workspace.start))
+        self._smoothed = SmoothedReference(self._reference.position_w)
         # Where x was when the arm was told to be where it is now: the joint shaper's lag is no
         # error that the feedback should catch up with, it would overshoot every stop.
         self._shaped = deque([self._hand.position_w], 1 + self._joints.lag_steps)
@@ -136,6 +138,7 @@ class Planner:
         self._ik.reset()
         self._reseed(position, np.zeros(3))
         self._reference = Reference(self._hand.position_w)
+        self._smoothed.rest(self._reference.position_w)
         self._chunk = JointTrajectory.resting(q, CYCLE_TICKS + 1)
         self.held_back = None
 
@@ -162,6 +165,22 @@ class Planner:
             raise LimitViolationError("target duration, s", float(duration_s), 0.0)
         self._reference.set_target(np.clip(target, self._low, self._high), duration_s)
 
+    def hold(self, position_w: Array) -> None:
+        """Command the hand to rest at a position from now on, without a way there: it is held up.
+
+        It comes back slowly, by the shaper's feedback alone; a policy that pushes on would swing
+        if it were fetched back as fast as it may.
+
+        Args:
+            position_w: World, m; clipped to the workspace box. Shape (3,).
+
+        Raises:
+            LimitViolationError: A number is not finite.
+        """
+        self.set_target(position_w, GRID_S)
+        self._reference = Reference(self._reference.target_w)
+        self._smoothed.rest(self._reference.position_w)
+
     def step(self, splice: int = CYCLE_TICKS) -> JointTrajectory:
         """Plan the next cycle.
 
@@ -186,7 +205,7 @@ class Planner:
             self._resume(previous, splice)
             # The command went on while nobody planned.
             for _ in range(min(splice - CYCLE_TICKS, 1000)):
-                self._reference.advance(GRID_S)
+                self._advance_reference()
         samples = [self._joints.point]
         for _ in range(CYCLE_TICKS):
             self._grid_step()
@@ -207,13 +226,17 @@ class Planner:
         joints, hand = self._joints, self._hand
         at = self._ik.place(joints.point.q) + self._base
         due_w = self._shaped[0]
-        self._reference.advance(GRID_S)
-        hand.step(self._reference, at, LEASH)
+        self._advance_reference()
+        hand.step(self._smoothed, at, LEASH)
         self._shaped.append(hand.position_w)
         low, high = joints.velocity_bounds()
         rate = joints.feedback_rate(FEEDBACK_RATE)
         wanted = self._ik.solve(due_w - self._base, hand.velocity_w, low, high, rate)
         joints.step(_REST if wanted is None else wanted, low, high)
+
+    def _advance_reference(self) -> None:
+        self._reference.advance(GRID_S)
+        self._smoothed.follow(self._reference)
 
     def _resume(self, chunk: JointTrajectory, index: int) -> None:
         """Continue from a sample of a chunk, and command the hand where it then is."""
@@ -251,5 +274,10 @@ class Planner:
 
 def _shaper(low: Array, high: Array, bounds: HandBounds) -> CartesianShaper:
     return CartesianShaper(
-        low, high, speed=bounds.speed, acceleration=bounds.acceleration, jerk=bounds.jerk
+        low,
+        high,
+        speed=bounds.speed,
+        acceleration=bounds.acceleration,
+        jerk=bounds.jerk,
+        reference_delay_s=FORESEEN * DELAY_S,
     )

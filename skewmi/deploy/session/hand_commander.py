@@ -12,11 +12,15 @@ from skewmi.deploy.session.observer import Observer
 from skewmi.deploy.session.stream import ChunkStream
 from skewmi.policy_io import Array, PolicyLayout
 from skewmi.robot_models import yumi
-from skewmi.trajectory import CYCLE_NS
 
 FOLLOWING, NOT_FOLLOWING = 0.005, 0.010
 """Distances of measured from commanded hand up to which, and from which on, the arm counts as
 following and as blocked, m; linear between."""
+
+
+REACTION_S = 0.05
+"""Time from a measured state until a command that is ended because of it slows the hand down, s:
+the stream's lead, and half of a stop."""
 
 
 class HandCommander:
@@ -51,6 +55,7 @@ class HandCommander:
         self._step_s = step_s
         self._delay = delay
         self._step_stamp_ns = 0
+        self._seen = (np.zeros(3), 0)
 
     @property
     def opening(self) -> float | None:
@@ -74,7 +79,9 @@ class HandCommander:
         """
         self._step_stamp_ns = state.stamp_ns
         hand_w = self._observer.hand_position(state)
-        ahead_w = self._ahead(hand_w, self._commanded(state))
+        commanded_w = self._commanded(state)
+        self._seen = (commanded_w - hand_w, state.stamp_ns)
+        ahead_w = self._ahead(hand_w, commanded_w)
         self.integrator.begin_step(action[None], hand_w[None], ahead_w=ahead_w[None])
         self._planner.set_target(self.integrator.position_w[0], self._step_s)
 
@@ -86,9 +93,33 @@ class HandCommander:
         """
         hand_w, commanded_w = self._observer.hand_position(state), self._commanded(state)
         since_ns = state.stamp_ns - self._step_stamp_ns
-        held = self.integrator.watch(hand_w[None], since_ns, commanded_w=commanded_w[None])
+        held = self.integrator.watch(
+            hand_w[None],
+            since_ns,
+            commanded_w=commanded_w[None],
+            coming_error_w=self._coming_error(hand_w, commanded_w, state.stamp_ns)[None],
+        )
         if held.size:
-            self._planner.set_target(self.integrator.position_w[0], CYCLE_NS / 1e9)
+            self._planner.hold(self.integrator.position_w[0])
+
+    def _coming_error(self, hand_w: Array, commanded_w: Array, stamp_ns: int) -> Array:
+        """What the following error grows by within `REACTION_S`, going on as since the last look.
+
+        Args:
+            hand_w: Measured, world, m. Shape (3,).
+            commanded_w: Where it was commanded to be then. Shape (3,).
+            stamp_ns: When that was.
+
+        Returns:
+            World, m. Shape (3,).
+        """
+        error_before_w, before_ns = self._seen
+        self._seen = (error_w, _) = (commanded_w - hand_w, stamp_ns)
+        elapsed_s = 1e-9 * (stamp_ns - before_ns)
+        if elapsed_s <= 0.0:
+            return np.zeros(3)
+        coming_w: Array = (error_w - error_before_w) * (REACTION_S / elapsed_s)
+        return coming_w
 
     def _commanded(self, state: ArmState) -> Array:
         """Where the hand was commanded to be as `state` shows it, world, m. Shape (3,)."""
