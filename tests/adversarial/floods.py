@@ -2,16 +2,15 @@
 
 Measures, with a robot server in real time and one kind of flood after the other, the longest time
 between two cycles of 4 ms beside the same without a flood; and, as `floods.py watchers 8 16 32`,
-how long services and `skewmi stop` take while so many watchers sleep. Prints one JSON document.
+how long services and `skewmi stop` take while so many watchers sleep; with `--trials`, each of it
+several times, of which all are told.
 The commander whom chunks of the floods come from is armed all the time, and its gripper commander
 is whoever sends first: every check that a stranger or the commander may get to is got to.
 """
 
 from __future__ import annotations
 
-import argparse
 import io
-import json
 import os
 import signal
 import subprocess
@@ -27,7 +26,9 @@ from typing import Any
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent / "faults"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 
+import result_document
 from fault_robot import STEP, Robot
 from flood_senders import GID, SENDERS
 
@@ -150,24 +151,36 @@ def watchers(robot: Robot, count: int, seconds: float = SLEEP_S) -> dict[str, An
     }
 
 
-def main() -> int:
-    """Measure as asked; 0 if nothing is late."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("what", nargs="*", help="kinds of floods, or: watchers NUMBER ...")
-    parser.add_argument("--seconds", type=float, default=5.0, help="of each flood")
-    options = parser.parse_args()
+def trial(what: list[str], seconds: float) -> dict[str, Any]:
+    """Each kind of flood, or each number of watchers, once."""
     result: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder:
-        if options.what[:1] == ["watchers"]:
-            for count in map(int, options.what[1:]):
+        if what[:1] == ["watchers"]:
+            for count in map(int, what[1:]):
                 with Robot(Path(folder) / f"targets-{count}", lock_step=False) as robot:
                     result[f"{count} watchers"] = watchers(robot, count)
         else:
             with Robot(Path(folder) / "targets", lock_step=False) as robot:
-                for kind in (None, *(options.what or SENDERS)):
-                    result[kind or "no flood"] = measure(robot, kind, options.seconds)
-    sys.stdout.write(json.dumps(result, indent=2) + "\n")
-    late = (one.get("loop", one)["max_ms"] for one in result.values())
+                for kind in (None, *(what or SENDERS)):
+                    result[kind or "no flood"] = measure(robot, kind, seconds)
+                    result_document.progress(f"{kind or 'no flood'}: {result[kind or 'no flood']}")
+    return result
+
+
+def main() -> int:
+    """Measure as asked; 0 if nothing is late."""
+    parser = result_document.argument_parser((__doc__ or "").splitlines()[0])
+    parser.add_argument("what", nargs="*", help="kinds of floods, or: watchers NUMBER ...")
+    parser.add_argument("--seconds", type=float, default=5.0, help="of each flood")
+    parser.add_argument("--trials", type=int, default=1, help="how often all of it is done")
+    options = parser.parse_args()
+    trials = [trial(options.what, options.seconds) for _ in range(options.trials)]
+    config = {"what": options.what, "seconds": options.seconds, "late_ms": LATE_MS}
+    document = result_document.write_result(
+        "floods", {"trials": trials}, options.out, seed=options.seed, config=config
+    )
+    result_document.print_result(document, as_json=options.json)
+    late = (one.get("loop", one)["max_ms"] for each in trials for one in each.values())
     return int(max(late, default=0.0) > LATE_MS)
 
 
