@@ -32,6 +32,7 @@ KEPT_OF_DEPLOY = (
     "granted",
     "stops",
     "contact",
+    "smoothness",
 )
 
 
