@@ -157,12 +157,17 @@ class RecordedArm:
         if self.look % LOOKS == 0:
             self._line_end_w = position_w
 
+    def hold(self, position_w: Array) -> None:
+        self.set_target(position_w, CYCLE_NS / 1e9)
+
     def step(self, splice: int) -> Any:
         self.record.take(self.integrator, self._line_end_w[None])
         np.testing.assert_array_equal(self._target_w, self.integrator.position_w[0])
         return self
 
     held_back = None
+    # It moves as it is commanded, at once.
+    lead_s = stopping_s = 0.0
 
 
 def deployed(hands: Array, actions: Array) -> tuple[Commanded, Array]:

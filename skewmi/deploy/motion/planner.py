@@ -95,6 +95,13 @@ class Planner:
         return self._reference.position_w.copy()
 
     @property
+    def stopping_s(self) -> float:
+        """What a stop at full speed takes the hand on by, over that speed, s."""
+        bounds = self.hand_bounds
+        ramp = bounds.acceleration / bounds.jerk
+        return 0.5 * (bounds.speed / bounds.acceleration + ramp)
+
+    @property
     def present(self) -> JointPoint:
         """Planned state at the end of the planned cycle, where the next chunk starts."""
         return self._joints.point

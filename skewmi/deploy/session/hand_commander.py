@@ -18,9 +18,8 @@ FOLLOWING, NOT_FOLLOWING = 0.005, 0.010
 following and as blocked, m; linear between."""
 
 
-REACTION_S = 0.05
-"""Time from a measured state until a command that is ended because of it slows the hand down, s:
-the stream's lead, and half of a stop."""
+LONGEST_REACTION_S = 0.05
+"""What is looked ahead by at most, s: with more, an arm that is late looks like a blocked one."""
 
 
 class HandCommander:
@@ -56,6 +55,8 @@ class HandCommander:
         self._delay = delay
         self._step_stamp_ns = 0
         self._seen = (np.zeros(3), 0)
+        reaction_s = stream.lead_s + planner.stopping_s
+        self._reaction_s = min(reaction_s, LONGEST_REACTION_S)
 
     @property
     def opening(self) -> float | None:
@@ -103,7 +104,8 @@ class HandCommander:
             self._planner.hold(self.integrator.position_w[0])
 
     def _coming_error(self, hand_w: Array, commanded_w: Array, stamp_ns: int) -> Array:
-        """What the following error grows by within `REACTION_S`, going on as since the last look.
+        """What the following error grows by before a command that is ended now slows the hand
+        down, if it goes on as since the last look.
 
         Args:
             hand_w: Measured, world, m. Shape (3,).
@@ -118,7 +120,7 @@ class HandCommander:
         elapsed_s = 1e-9 * (stamp_ns - before_ns)
         if elapsed_s <= 0.0:
             return np.zeros(3)
-        coming_w: Array = (error_w - error_before_w) * (REACTION_S / elapsed_s)
+        coming_w: Array = (error_w - error_before_w) * (self._reaction_s / elapsed_s)
         return coming_w
 
     def _commanded(self, state: ArmState) -> Array:

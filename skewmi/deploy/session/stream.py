@@ -74,6 +74,11 @@ class ChunkStream:
         self.missed_cycles = 0
         """Cycles in which no chunk could be sent in time."""
 
+    @property
+    def lead_s(self) -> float:
+        """Time from a state to the motion that answers it, s."""
+        return self._lead_ns / 1e9
+
     def warm_up(self) -> None:
         """Lay out messages of every usual length, so that no first one is late by it."""
         for count in range(2, _WARM_SAMPLES):

@@ -97,11 +97,15 @@ class LateArm:
         self._delay_ns, self.now_ns = delay_ns, 0
         self._knots: list[tuple[float, Array]] = [(0.0, start_w)]
         self.command_position = start_w
+        self.lead_s = self.stopping_s = 0.0
 
     def set_target(self, position_w: Array, duration_s: float) -> None:
         here = self.commanded(self.now_ns)
         self._knots = [knot for knot in self._knots if knot[0] < self.now_ns]
         self._knots += [(self.now_ns, here), (self.now_ns + 1e9 * duration_s, position_w)]
+
+    def hold(self, position_w: Array) -> None:
+        self.set_target(position_w, CYCLE_NS / 1e9)
 
     def commanded(self, stamp_ns: int) -> Array:
         times, positions = zip(*self._knots, strict=True)

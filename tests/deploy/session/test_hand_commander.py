@@ -76,7 +76,7 @@ def test_the_following_error_of_a_deployed_hand_on_the_lid_is_that_of_a_blocked_
     error = np.linalg.norm(commanded - measured, axis=1)
     # At 150 mm/s, 24 ms of chunks under way and the limits on braking: at most this, once.
     contact = int(np.argmax(error > 5e-3))
-    assert error.max() < 0.020
+    assert error.max() < 0.024
     # A second later the command has come back to what it may be of a blocked hand, on average: a
     # policy that goes on pushing makes it swing, by the delay between command and contact.
     standing = error[contact + 50 : contact + 350]
