@@ -160,6 +160,9 @@ class RobotBackend(Protocol):
                 cycle that has one is raised by the `write` that answers it.
         """
 
+    def due(self) -> bool:
+        """Whether the next cycle has come, so that what can wait should."""
+
     def write(self, command: JointPoint) -> None:
         """Command what is to hold from this cycle on. Called once after each `read` that gave a
         state, also while deactivated: then with the point at which the arm rests.

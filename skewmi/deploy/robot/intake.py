@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from skewmi.deploy.robot.controller import RobotController
 from skewmi.deploy.robot.refusals import Refusal
@@ -36,6 +36,10 @@ QUEUE = 256
 
 MAX_REQUEST_BYTES = 1024
 """Longest request of a service; publishers' ids take 37 bytes."""
+
+
+def _never() -> bool:
+    return False
 
 
 class CommandIntake:
@@ -67,17 +71,23 @@ class CommandIntake:
         """Messages that were taken and not judged: not the newest, or of nobody."""
         return self._skipped + self._chunks.strays + self._gripper.strays
 
-    def serve(self) -> None:
-        """Judge what may be judged in this cycle."""
-        self._judge_chunks(time.monotonic_ns() + COMMANDS_NS)
+    def serve(self, due: Callable[[], bool] = _never) -> None:
+        """Judge what may be judged in this cycle.
+
+        Args:
+            due: Whether the robot's next cycle has come: then one chunk has to be enough.
+        """
+        self._judge_chunks(time.monotonic_ns() + COMMANDS_NS, due)
         self._judge_gripper()
 
-    def _judge_chunks(self, until_ns: int) -> None:
+    def _judge_chunks(self, until_ns: int, due: Callable[[], bool]) -> None:
         # In order: each continues the one before it, so that none may be left out.
         self._unread.extend(self._chunks.drain(MOST_TAKEN - len(self._unread)))
         while self._unread and (now_ns := time.monotonic_ns()) < until_ns:
             sample = self._unread.popleft()
             self._controller.receive(sample.payload, sample.gid, sample.sequence, now_ns)
+            if due():
+                break
 
     def _judge_gripper(self) -> None:
         allowed = [s for s in self._gripper.drain(MOST_TAKEN) if self._may_be_read(s)]
@@ -114,14 +124,18 @@ class ServiceRounds:
         self._first = first
         self._others = deque(others)
 
-    def serve(self) -> None:
+    def serve(self, due: Callable[[], bool] = _never) -> None:
         """Answer what may be answered in this cycle: of the others at least one service is asked,
-        so that a flood of what comes first leaves them something."""
+        so that a flood of what comes first leaves them something.
+
+        Args:
+            due: Whether the robot's next cycle has come: then that one has to be enough.
+        """
         until_ns = time.monotonic_ns() + SERVICES_NS
         for service in self._first:
             service.poll(until_ns)
         for service in self._others:
             service.poll(until_ns)
-            if time.monotonic_ns() > until_ns:
+            if time.monotonic_ns() > until_ns or due():
                 break
         self._others.rotate(-1)

@@ -41,6 +41,9 @@ class Pace(Protocol):
     def wait(self) -> Beat:
         """Wait for the next cycle, a few milliseconds at most."""
 
+    def due(self) -> bool:
+        """Whether it need not be waited for any more."""
+
 
 class RealTimePace:
     """Cycles by the monotonic clock. The first two begin at once: in between, a server gets ready.
@@ -69,6 +72,10 @@ class RealTimePace:
             time.sleep(-behind_ns / 1e9)
         self._due_ns += self._period_ns
         return Beat.NEXT
+
+    def due(self) -> bool:
+        """By the monotonic clock."""
+        return time.monotonic_ns() >= self._due_ns
 
 
 class LockStepPace:
@@ -99,6 +106,10 @@ class LockStepPace:
             return Beat.AGAIN
         time.sleep(_IDLE_SLEEP_S if now_ns - self._told_ns < _IDLE_NS else _CALM_SLEEP_S)
         return Beat.NONE
+
+    def due(self) -> bool:
+        """Never: time waits for whatever is to be done."""
+        return False
 
 
 def make_pace(period_ns: int, may_advance: Callable[[], bool], *, lock_step: bool) -> Pace:

@@ -162,10 +162,11 @@ class RobotServer:
 
     def _serve(self) -> None:
         """Take what came. Commands first: a stop should not overtake them."""
-        self._intake.serve()
+        due = self._backend.due
+        self._intake.serve(due)
         if self._stop_path is not None:
             self._stop_path.poll()
-        self._services.serve()
+        self._services.serve(due)
 
     def _on_transition(self, transition: Transition[ServerState]) -> None:
         _log.info("%s", transition)

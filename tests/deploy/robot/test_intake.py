@@ -224,3 +224,21 @@ def test_services_share_a_bounded_time_and_take_turns() -> None:
     assert log.count("stop") == 6
     assert log[::2] == 6 * ["stop"]
     assert asked == ["a", "b", "c", "a", "b", "c"]
+
+
+def test_where_the_next_cycle_has_come_each_gets_one_turn(bench: Bench) -> None:
+    """Work waits for the robot, and nobody waits for ever."""
+    for sequence in range(5):
+        bench.chunks.put(b"", OTHER, sequence + 1)
+    judged = []
+    for _ in range(5):
+        bench.intake.serve(lambda: True)
+        judged.append(bench.robot.controller.refusals.count)
+    assert judged == [1, 2, 3, 4, 5]
+
+    log: list[str] = []
+    stop, *others = (Slow(name, log, 0.0) for name in ("stop", "a", "b"))
+    rounds = ServiceRounds([stop], others)
+    for _ in range(3):
+        rounds.serve(lambda: True)
+    assert log == ["stop", "a", "stop", "b", "stop", "a"]

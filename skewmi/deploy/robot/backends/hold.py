@@ -94,6 +94,10 @@ class HoldBackend:
             np.zeros(len(self.state_names)),
         )
 
+    def due(self) -> bool:
+        """Whether the next cycle has come."""
+        return self._pace is not None and self._pace.due()
+
     def write(self, command: JointPoint) -> None:
         """Hold this once its delay is over, from the next cycle on at the earliest."""
         self._underway.append((self._time_ns + self._delay_ns, command))

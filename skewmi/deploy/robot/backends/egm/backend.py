@@ -121,6 +121,10 @@ class EgmBackend:
             if left_ns <= 0 or not self._poll.poll(left_ns / 1e6):
                 return None
 
+    def due(self) -> bool:
+        """Whether a packet waits for its answer."""
+        return self.right is not None and self.right.link.wait(0)
+
     def write(self, command: JointPoint) -> None:
         """Answer the packet; then the left arm's, which may have come meanwhile."""
         assert self.right is not None

@@ -71,6 +71,10 @@ class MujocoBackend:
         except BackendFaultError as fault:
             self._fault = fault
 
+    def due(self) -> bool:
+        """Whether the next cycle has come."""
+        return self._pace is not None and self._pace.due()
+
     def write(self, command: JointPoint) -> None:
         """The servos' targets for the step that comes next.
 
