@@ -61,9 +61,10 @@ def run_deploy(
     try:
         return _run(policy, options, stop, tell)
     except TooBusyError as busy:
-        note = f"{busy}. The simulated robot waits for this run now (--lock-step)"
+        note = f"{busy}. The run begins anew: the simulated robot waits for it now (--lock-step)"
         tell(note)
-        report = _run(policy, replace(options, lock_step=True), stop, tell)
+        # A file that is there was begun by this run, or might be replaced anyway.
+        report = _run(policy, replace(options, lock_step=True, overwrite=True), stop, tell)
         report.notes.insert(0, note)
         return report
 

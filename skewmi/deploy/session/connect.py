@@ -101,9 +101,12 @@ def connect(
     )
     spare = Planner(workspace, limits, flange_speed=flange_speed)
     rehearsal = warm_up(Rehearsal(policy, workspace, spare, checks), stream)
-    _watch_pace(observer, rehearsal, report, tell, described.simulated and options.may_wait)
+    can_wait = described.simulated and options.may_wait
+    _watch_pace(observer, rehearsal, report, tell, can_wait)
+    # Whoever looks on has seen what would begin anew.
+    can_wait = can_wait and options.live is None
     status.fire(SessionEvent.CONNECTED, f"{described.backend} robot, {described.task}")
-    return Session(options, episodes, status, trust, stream, times, report, stop, tell)
+    return Session(options, episodes, status, trust, stream, times, report, stop, can_wait, tell)
 
 
 def _late_by_cycle_ns(described: RobotDescription) -> int:

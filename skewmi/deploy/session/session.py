@@ -15,8 +15,9 @@ from skewmi.deploy.report import DeployReport
 from skewmi.deploy.session.episode import EpisodeRunner
 from skewmi.deploy.session.states import SessionEvent
 from skewmi.deploy.session.status import SessionStatus
+from skewmi.deploy.session.steadiness import TooBusyError
 from skewmi.deploy.session.stream import ChunkStream
-from skewmi.deploy.session.timing import CycleTimes
+from skewmi.deploy.session.timing import BUSY_ADVICE, CycleTimes
 from skewmi.deploy.session.trust import Trust
 
 
@@ -32,6 +33,7 @@ class Session:
         times: How long the cycles took.
         report: Filled in as the run goes on.
         stop: Set from outside to end the run with a smooth stop.
+        can_wait: Whether the robot could wait for this computer where that is too slow.
         tell: Told in words what happens.
     """
 
@@ -45,6 +47,7 @@ class Session:
         times: CycleTimes,
         report: DeployReport,
         stop: threading.Event,
+        can_wait: bool,
         tell: Callable[[str], None],
     ) -> None:
         self._options = options
@@ -55,11 +58,16 @@ class Session:
         self._times = times
         self._report = report
         self._stop = stop
+        self._can_wait = can_wait
         self._tell = tell
         self._warned: set[str] = set()
 
     def run(self) -> None:
-        """Run all episodes; what happened is in the report."""
+        """Run all episodes; what happened is in the report.
+
+        Raises:
+            TooBusyError: States or commands came too late for a robot that could wait.
+        """
         for index in range(self._options.episodes):
             if index > 0:
                 self._status.fire(SessionEvent.NEXT_EPISODE, f"episode {index + 1}")
@@ -88,6 +96,8 @@ class Session:
         self._tell(
             f"episode {index + 1}: {episode.outcome} after {episode.steps} steps ({episode.reason})"
         )
+        if self._can_wait and episode.reason.endswith(BUSY_ADVICE):
+            raise TooBusyError(episode.reason)
         return go_on and not self._stop.is_set()
 
     def _warn(self) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 from hypothesis import given
@@ -11,7 +13,7 @@ from hypothesis import strategies as st
 
 from skewmi.deploy import run as deploy_run
 from skewmi.deploy.options import DeployOptions
-from skewmi.deploy.report import DeployReport
+from skewmi.deploy.report import DeployReport, EpisodeReport
 from skewmi.deploy.session import steadiness
 from skewmi.deploy.session.observer import (
     MAX_JOINT_AGE_S,
@@ -20,7 +22,9 @@ from skewmi.deploy.session.observer import (
     allowed_age_s,
 )
 from skewmi.deploy.session.scene_states import StaleStateError
+from skewmi.deploy.session.session import Session
 from skewmi.deploy.session.steadiness import ENOUGH, TooBusyError, check_steadiness
+from skewmi.deploy.session.timing import BUSY_ADVICE, CycleTimes
 from skewmi.sim.tasks.open_press_close.definition import make_layout
 
 ADVICE = ("--lead-ms", "--lock-step", "skewmi doctor")
@@ -151,3 +155,52 @@ def test_a_robot_that_can_wait_does(monkeypatch: pytest.MonkeyPatch) -> None:
     assert told == [note]
     assert "too busy" in note
     assert "--lock-step" in note
+
+
+@pytest.mark.parametrize("can_wait", [True, False])
+@pytest.mark.parametrize(
+    ("outcome", "reason", "late"),
+    [
+        ("stopped", f"no new joint state for 100 ms; {BUSY_ADVICE}", True),
+        ("stopped", "skewmi stop", False),
+        ("success", "the task is solved", False),
+    ],
+)
+def test_a_run_that_comes_too_late_is_given_up_where_the_robot_can_wait(
+    outcome: str, reason: str, late: bool, can_wait: bool
+) -> None:
+    """Anywhere else the next episode follows."""
+    report = DeployReport(
+        task="",
+        robot="",
+        limit_profile="",
+        speed=1.0,
+        lock_step=False,
+        dry_run=False,
+        velocity_fraction=1.0,
+        planned_episodes=2,
+    )
+
+    def run(index: int) -> tuple[EpisodeReport, bool]:
+        return EpisodeReport(index, outcome, reason, 3, 0, {}), True
+
+    senders = SimpleNamespace(strangers=lambda: ())
+    session = Session(
+        DeployOptions(episodes=2, lock_step=True),
+        cast(Any, SimpleNamespace(run=run)),
+        cast(Any, SimpleNamespace(fire=lambda event, why: None)),
+        cast(Any, SimpleNamespace(senders=senders)),
+        cast(Any, SimpleNamespace(usage=None, missed_cycles=0)),
+        CycleTimes(),
+        report,
+        threading.Event(),
+        can_wait,
+        lambda text: None,
+    )
+    if late and can_wait:
+        with pytest.raises(TooBusyError, match="no new joint state"):
+            session.run()
+        assert len(report.episodes) == 1
+    else:
+        session.run()
+        assert len(report.episodes) == 2
