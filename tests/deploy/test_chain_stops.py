@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -16,6 +17,7 @@ from robot_servers import describe
 from scripted_runs import Scripted
 from sent_motion import assert_limits_kept, chunks_of
 
+from skewmi.child import child_command
 from skewmi.cli.main import main
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.recording.reader import read_recording
@@ -153,27 +155,29 @@ def test_silent_robot_server_stops_the_run_as_stale(tmp_path: Path) -> None:
 
 
 def test_second_session_is_refused_and_the_first_goes_on(robot: str) -> None:
-    reports = {}
-
-    def run_second() -> None:
-        reports["second"] = run_deploy(Scripted(), DeployOptions(connect=robot))
-
-    second = threading.Thread(target=run_second)
+    """The second is a process of its own: its preparations would hold up the first's loop."""
+    second: list[subprocess.Popen[str]] = []
 
     class First(Scripted):
         """Goes on until the second has been refused."""
 
         def act(self, observation: Array) -> Array:
-            if self.count == 10:
-                second.start()
-            if self.count >= 39 and "second" in reports:
+            if self.count == 10 and not second:
+                command = child_command("-m", "skewmi.cli.main", "deploy", "open_press_close")
+                second.append(
+                    subprocess.Popen(
+                        [*command, "--connect", robot, "--json"], stdout=subprocess.PIPE, text=True
+                    )
+                )
+            if second and second[0].poll() is not None:
                 raise ValueError("enough")
             return super().act(observation)
 
-    reports["first"] = run_deploy(First(), DeployOptions(connect=robot, lead_ms=PATIENT_MS))
-    second.join()
-    assert reports["first"].episodes[0].steps >= 39
-    assert "enough" in reports["first"].episodes[0].reason
-    refused = reports["second"].episodes[0]
-    assert refused.steps == 0
-    assert "holds the arm" in refused.reason
+    options = DeployOptions(episodes=10, connect=robot, lead_ms=PATIENT_MS)
+    first = run_deploy(First(), options)
+    assert second[0].stdout is not None
+    refused = json.loads(second[0].stdout.read())["per_episode"][0]
+    assert "enough" in first.episodes[-1].reason
+    assert first.episodes[0].steps > 10
+    assert refused["steps"] == 0
+    assert "holds the arm" in refused["reason"]
