@@ -3,6 +3,9 @@
     pip install 'cosmic-ray>=8.7'
     python tests/adversarial/mutation.py --out results/mutation.json
 
+With `--resume` modules that are in the file of `--out` already, and neither changed since nor their
+tests, are taken from there.
+
 Cosmic Ray makes every small change it knows (and those of `mutants`) in a copy of the
 package, one at a time, and the module's own unit tests run on each. A change that no test notices
 survives. Each survivor must have a row in `docs/mutation.md` that says why it cannot matter, and
@@ -12,6 +15,7 @@ each row there must be a survivor; otherwise the run fails with exit code 1.
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import importlib.metadata
 import io
 import json
@@ -78,6 +82,7 @@ def main() -> int:
         metavar="FILE",
         help="run nothing; judge the survivors in a result",
     )
+    parser.add_argument("--resume", action="store_true", help="keep what --out has of a module")
     options = parser.parse_args()
     if options.explained:
         document = json.loads(options.explained.read_text(encoding="utf-8"))
@@ -87,8 +92,7 @@ def main() -> int:
         known = ", ".join(target.path for target in TARGETS)
         parser.error(f"--only {options.only}: no such module; there are {known}")
 
-    figures: dict[str, Any] = {}
-    survivors: list[Mutant] = []
+    figures, survivors = earlier(options.out, targets) if options.resume else ({}, [])
     with tempfile.TemporaryDirectory(prefix="skewmi-mutation-") as folder:
         copy = make_copy(Path(folder).resolve())
         sys.path.insert(0, str(copy))
@@ -104,12 +108,15 @@ def main() -> int:
         settings.load_profile("mutation")
         with contextlib.chdir(copy):
             for target in targets:
+                if target.path in figures:
+                    continue
                 figures[target.path], survived = run_target(target, options.seed)
-                survivors += survived
+                figures[target.path]["sources_sha256"] = digest(target)
+                survivors += [record(survivor) for survivor in survived]
 
     document = result_document.write_result(
         "mutation",
-        {"modules": figures, "survivors": [record(survivor) for survivor in survivors]},
+        {"modules": figures, "survivors": survivors},
         options.out,
         seed=options.seed,
         config={
@@ -118,7 +125,35 @@ def main() -> int:
         },
     )
     result_document.print_result(document, as_json=options.json)
-    return judge([(survivor.place, survivor.mutation) for survivor in survivors], targets)
+    return judge([(survivor["place"], survivor["mutation"]) for survivor in survivors], targets)
+
+
+def digest(target: Target) -> str:
+    """Of everything that decides what becomes of a module's mutants; in hexadecimal."""
+    tests = result_document.REPOSITORY / "tests"
+    files = [
+        result_document.REPOSITORY / target.path,
+        *(tests / "deploy" / "safety" / name for name in target.tests),
+        *sorted((tests / "support").glob("limit_*.py")),
+        tests / "adversarial" / "mutants.py",
+    ]
+    return hashlib.sha256(b"\0".join(file.read_bytes() for file in files)).hexdigest()
+
+
+def earlier(
+    path: Path | None, targets: tuple[Target, ...]
+) -> tuple[dict[str, Any], list[dict[str, str]]]:
+    """Figures and survivors, in a result, of those modules that nothing of has changed since."""
+    if path is None or not path.exists():
+        return {}, []
+    document = json.loads(path.read_text(encoding="utf-8"))
+    kept = {
+        target.path: document["modules"][target.path]
+        for target in targets
+        if document["modules"].get(target.path, {}).get("sources_sha256") == digest(target)
+    }
+    places = tuple(f"{Path(path).name} " for path in kept)
+    return kept, [one for one in document["survivors"] if one["place"].startswith(places)]
 
 
 def record(mutant: Mutant) -> dict[str, str]:

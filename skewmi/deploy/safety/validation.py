@@ -194,10 +194,11 @@ def check_splice(chunk: TrajectoryChunk, present: JointPoint, rules: ValidationR
     Raises:
         CommandRefusedError: Quantity, joint and size of the step.
     """
+    motion = chunk.trajectory
     for what, unit, start, expected, tolerance in zip(
         ("position", "velocity", "acceleration"),
         ("rad", "rad/s", "rad/s^2"),
-        chunk.trajectory.point(0),
+        (motion.q[0], motion.v[0], motion.a[0]),
         present,
         rules.splice_tolerance,
         strict=True,
@@ -217,8 +218,9 @@ def check_rest(chunk: TrajectoryChunk, rules: ValidationRules) -> None:
     Raises:
         CommandRefusedError: The speed or acceleration left at the end.
     """
-    _, v, a = chunk.trajectory.point(len(chunk.trajectory) - 1)
-    speed, acceleration = np.abs(v).max(), np.abs(a).max()
+    # Not by `point`, which takes the nearest sample for one that is not there.
+    motion = chunk.trajectory
+    speed, acceleration = np.abs(motion.v[-1]).max(), np.abs(motion.a[-1]).max()
     if speed > rules.rest_tolerance[0] or acceleration > rules.rest_tolerance[1]:
         raise CommandRefusedError(
             f"a chunk must end at rest; this ends at {speed:.3g} rad/s, {acceleration:.3g} rad/s^2"

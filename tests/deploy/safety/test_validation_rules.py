@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from skewmi.deploy.safety.validation import (
+    MAX_GRIPPER_BYTES,
     BrokenStreamError,
     ValidationRules,
     check_fresh,
@@ -96,6 +97,11 @@ def test_every_time_must_lie_on_the_grid() -> None:
         with pytest.raises(CommandRefusedError) as caught:
             check_structure(chunk, RULES)
         assert str(caught.value) == "points must lie at 0, 1, 2, ... times 4 ms from the stamp"
+
+
+def test_lateness_is_told_to_the_nanosecond() -> None:
+    with pytest.raises(BrokenStreamError, match="stamp is 1e-06 ms in the past"):
+        check_time(chunk_of(stamp_ns=NOW * GRID_NS), RULES, NOW * GRID_NS + 1)
 
 
 def test_every_tick_around_now() -> None:
@@ -266,3 +272,9 @@ def test_commands_have_at_most_131072_bytes() -> None:
         with pytest.raises(CommandRefusedError) as caught:
             check_size(size)
         assert str(caught.value) == f"the command has {size} bytes; at most 131072 are read"
+
+
+def test_gripper_commands_of_up_to_a_kibibyte_are_read() -> None:
+    check_size(1024, MAX_GRIPPER_BYTES)
+    with pytest.raises(CommandRefusedError, match="1025 bytes; at most 1024 are read"):
+        check_size(1025, MAX_GRIPPER_BYTES)
