@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import subprocess
+from collections.abc import Callable
 from typing import Any
 
 from common import argument_parser, print_result, progress, write_result
@@ -34,6 +35,9 @@ KEPT_OF_DEPLOY = (
     "contact",
     "smoothness",
 )
+
+
+PARTS = ["nominal", "randomised", "lock_step", "lock_step_randomised", "real_time"]
 
 
 def run(*arguments: str) -> dict[str, Any]:
@@ -72,28 +76,37 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
                 "checkpoint_sha256",
             )
         },
-        "evaluate": {
-            "nominal": run("evaluate", name, *many),
-            "randomised": run("evaluate", name, *many, "--variation", "randomised"),
-        },
-        "deploy": {
-            "lock_step": deploy(name, seed, options.deployed, "--lock-step"),
-            "lock_step_randomised": deploy(
+        "evaluate": chosen(
+            options.parts,
+            nominal=lambda: run("evaluate", name, *many),
+            randomised=lambda: run("evaluate", name, *many, "--variation", "randomised"),
+        ),
+        "deploy": chosen(
+            options.parts,
+            lock_step=lambda: deploy(name, seed, options.deployed, "--lock-step"),
+            lock_step_randomised=lambda: deploy(
                 name, seed, options.deployed, "--lock-step", "--variation", "randomised"
             ),
-            "real_time": deploy(name, seed, options.real_time),
-        },
+            real_time=lambda: deploy(name, seed, options.real_time),
+        ),
     }
+
+
+def chosen(parts: list[str], **measured: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """Figures of those parts that were asked for, in their order."""
+    return {part: measure() for part, measure in measured.items() if part in parts}
 
 
 def main() -> None:
     parser = argument_parser(__doc__)
     parser.add_argument("--policy", default="open_press_close", help="bundled name or file")
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="of it")
     parser.add_argument("--episodes", type=int, default=500, help="evaluated, each model")
     parser.add_argument("--deployed", type=int, default=50, help="in lock-step, each model")
     parser.add_argument("--real-time", type=int, default=5, help="deployed in real time")
     options = parser.parse_args()
-    config = {key: getattr(options, key) for key in ("policy", "episodes", "deployed", "real_time")}
+    keys = ("policy", "parts", "episodes", "deployed", "real_time")
+    config = {key: getattr(options, key) for key in keys}
     document = write_result(
         "bundled_policy", measure(options), options.out, seed=options.seed, config=config
     )
