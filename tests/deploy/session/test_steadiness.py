@@ -30,6 +30,20 @@ from skewmi.sim.tasks.open_press_close.definition import make_layout
 ADVICE = ("--lead-ms", "--lock-step", "skewmi doctor")
 
 
+def empty_report(*, lock_step: bool) -> DeployReport:
+    """Of a run that has not begun."""
+    return DeployReport(
+        task="",
+        robot="",
+        limit_profile="",
+        speed=1.0,
+        lock_step=lock_step,
+        dry_run=False,
+        velocity_fraction=1.0,
+        planned_episodes=2,
+    )
+
+
 @given(st.floats(0.008, 0.1), st.floats(0.008, 0.1))
 def test_a_longer_lead_admits_older_states_up_to_a_bound(one: float, other: float) -> None:
     short, long = sorted((one, other))
@@ -136,16 +150,7 @@ def test_a_robot_that_can_wait_does(monkeypatch: pytest.MonkeyPatch) -> None:
         runs.append(options)
         if not options.lock_step:
             raise TooBusyError("this computer is too busy")
-        return DeployReport(
-            task="",
-            robot="",
-            limit_profile="",
-            speed=1.0,
-            lock_step=True,
-            dry_run=False,
-            velocity_fraction=1.0,
-            planned_episodes=1,
-        )
+        return empty_report(lock_step=True)
 
     monkeypatch.setattr(deploy_run, "_run", run)
     policy = SimpleNamespace(layout=make_layout())
@@ -170,16 +175,7 @@ def test_a_run_that_comes_too_late_is_given_up_where_the_robot_can_wait(
     outcome: str, reason: str, late: bool, can_wait: bool
 ) -> None:
     """Anywhere else the next episode follows."""
-    report = DeployReport(
-        task="",
-        robot="",
-        limit_profile="",
-        speed=1.0,
-        lock_step=False,
-        dry_run=False,
-        velocity_fraction=1.0,
-        planned_episodes=2,
-    )
+    report = empty_report(lock_step=False)
 
     def run(index: int) -> tuple[EpisodeReport, bool]:
         return EpisodeReport(index, outcome, reason, 3, 0, {}), True
