@@ -167,7 +167,8 @@ class RecordedArm:
 
     held_back = None
     # It moves as it is commanded, at once.
-    lead_s = stopping_s = 0.0
+    lead_s = 0.0
+    hand_bounds = SimpleNamespace(stopping_s=0.0)
 
 
 def deployed(hands: Array, actions: Array) -> tuple[Commanded, Array]:

@@ -38,6 +38,11 @@ class HandBounds:
     acceleration: float
     jerk: float
 
+    @property
+    def stopping_s(self) -> float:
+        """What a stop at full speed takes the hand on by, over that speed, s."""
+        return 0.5 * (self.speed / self.acceleration + self.acceleration / self.jerk)
+
 
 def derive_hand_bounds(
     workspace: Workspace, kinematics: ArmKinematics, limits: JointLimits, tcp_speed: float

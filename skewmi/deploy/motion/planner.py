@@ -95,13 +95,6 @@ class Planner:
         return self._reference.position_w.copy()
 
     @property
-    def stopping_s(self) -> float:
-        """What a stop at full speed takes the hand on by, over that speed, s."""
-        bounds = self.hand_bounds
-        ramp = bounds.acceleration / bounds.jerk
-        return 0.5 * (bounds.speed / bounds.acceleration + ramp)
-
-    @property
     def present(self) -> JointPoint:
         """Planned state at the end of the planned cycle, where the next chunk starts."""
         return self._joints.point
@@ -122,25 +115,11 @@ class Planner:
             KinematicsError: The hand is outside the box or does not point down there.
         """
         q = np.array(q, dtype=np.float64)
-        if q.shape != (7,) or not np.isfinite(q).all():
-            raise LimitViolationError("finite numbers", float("nan"), 0.0, f"configuration {q}")
-        beyond = np.maximum(self._joints.hard_lower - q, q - self._joints.hard_upper)
-        if (beyond > 0.0).any():
-            worst = int(np.argmax(beyond))
-            below = q[worst] < self._joints.hard_lower[worst]
-            bound = self._joints.hard_lower if below else self._joints.hard_upper
-            raise LimitViolationError(
-                "joint position", float(q[worst]), float(bound[worst]), f"joint index {worst}"
-            )
+        _require_between(q, self._joints.hard_lower, self._joints.hard_upper)
         position, rotation = self.forward(q)
-        outside = self._outside(position)
         tilt = float(np.linalg.norm(rotation_vector(rotation.T @ self._rotation)))
-        if outside > self._tolerance or tilt > MAX_START_TILT:
-            raise KinematicsError(
-                f"the hand is {1e3 * max(outside, 0.0):.1f} mm outside of the workspace and tilted "
-                f"by {np.degrees(tilt):.1f} deg; at most {1e3 * self._tolerance:.1f} mm and "
-                f"{np.degrees(MAX_START_TILT):.1f} deg are allowed; move to the start first"
-            )
+        outside = float(np.maximum(self._low - position, position - self._high).max())
+        _require_start(outside, self._tolerance, tilt)
         self._joints.point = JointPoint(q, _REST, _REST)
         self._ik.reset()
         self._reseed(position, np.zeros(3))
@@ -175,8 +154,7 @@ class Planner:
     def hold(self, position_w: Array) -> None:
         """Command the hand to rest at a position from now on, without a way there: it is held up.
 
-        It comes back slowly, by the shaper's feedback alone; a policy that pushes on would swing
-        if it were fetched back as fast as it may.
+        It comes back by the shaper's feedback alone: faster, a policy that pushes on would swing.
 
         Args:
             position_w: World, m; clipped to the workspace box. Shape (3,).
@@ -257,10 +235,6 @@ class Planner:
         ages = GRID_S * np.arange(self._joints.lag_steps, -1, -1)
         self._shaped.extend(self._hand.position_w - age * self._hand.velocity_w for age in ages)
 
-    def _outside(self, position_w: Array) -> float:
-        """Largest distance outside of the box along an axis, m; negative inside."""
-        return float(np.maximum(self._low - position_w, position_w - self._high).max())
-
     def _breach(self, chunk: JointTrajectory, extent: tuple[Array, Array]) -> str | None:
         """Why a chunk must not be published, or None."""
         joints = self._joints
@@ -277,6 +251,29 @@ class Planner:
         if float((steps * steps).sum(axis=1).max()) > (self._tcp_speed * GRID_S) ** 2:
             return "the tool would be too fast"
         return None
+
+
+def _require_between(q: Array, lower: Array, upper: Array) -> None:
+    """Raises `LimitViolationError` unless q is a configuration between bounds; all (7,), rad."""
+    if q.shape != (7,) or not np.isfinite(q).all():
+        raise LimitViolationError("finite numbers", float("nan"), 0.0, f"configuration {q}")
+    beyond = np.maximum(lower - q, q - upper)
+    if (beyond > 0.0).any():
+        worst = int(np.argmax(beyond))
+        bound = lower if q[worst] < lower[worst] else upper
+        raise LimitViolationError(
+            "joint position", float(q[worst]), float(bound[worst]), f"joint index {worst}"
+        )
+
+
+def _require_start(outside: float, tolerance: float, tilt: float) -> None:
+    """Raises `KinematicsError` unless the hand is in the box, m, and points down, rad."""
+    if outside > tolerance or tilt > MAX_START_TILT:
+        raise KinematicsError(
+            f"the hand is {1e3 * max(outside, 0.0):.1f} mm outside of the workspace and tilted "
+            f"by {np.degrees(tilt):.1f} deg; at most {1e3 * tolerance:.1f} mm and "
+            f"{np.degrees(MAX_START_TILT):.1f} deg are allowed; move to the start first"
+        )
 
 
 def _shaper(low: Array, high: Array, bounds: HandBounds) -> CartesianShaper:

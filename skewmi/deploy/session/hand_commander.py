@@ -55,7 +55,7 @@ class HandCommander:
         self._delay = delay
         self._step_stamp_ns = 0
         self._seen = (np.zeros(3), 0)
-        reaction_s = stream.lead_s + planner.stopping_s
+        reaction_s = stream.lead_s + planner.hand_bounds.stopping_s
         self._reaction_s = min(reaction_s, LONGEST_REACTION_S)
 
     @property

@@ -97,7 +97,7 @@ class LateArm:
         self._delay_ns, self.now_ns = delay_ns, 0
         self._knots: list[tuple[float, Array]] = [(0.0, start_w)]
         self.command_position = start_w
-        self.lead_s = self.stopping_s = 0.0
+        self.lead_s, self.hand_bounds = 0.0, SimpleNamespace(stopping_s=0.0)
 
     def set_target(self, position_w: Array, duration_s: float) -> None:
         here = self.commanded(self.now_ns)
