@@ -38,6 +38,7 @@ class VariationKey:
         size: Number of values.
         apply: Writes drawn values, shape (n,) or (n, size), into the fields of the models, given
             as whoever simulates keeps them; None where a value is no field of a model.
+        excludes: Name of a key that may not be given besides this one: both say the same.
     """
 
     name: str
@@ -46,6 +47,7 @@ class VariationKey:
     unit: str = "1"
     size: int = 1
     apply: Callable[[Any, Array], None] | None = None
+    excludes: str = ""
 
     @property
     def section(self) -> str:
@@ -258,6 +260,12 @@ class Variations:
                         f"{name}: {section} has no key {short!r}; allowed: {', '.join(allowed)}"
                     )
                 ranges[f"{section}.{short}"] = _range(value, allowed[short], name)
+        for key in self.keys:
+            if key.name in ranges and key.excludes in ranges:
+                raise ConfigurationError(
+                    f"{name}: {key.name} and {key.excludes} are both given and say the same; "
+                    "leave one out"
+                )
         return ModelVariation(
             tuple((key, ranges[key.name]) for key in self.keys if key.name in ranges), seed
         )

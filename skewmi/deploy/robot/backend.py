@@ -12,7 +12,7 @@ from __future__ import annotations
 import secrets
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from skewmi.errors import SkewmiError
 from skewmi.policy_io import Array, Workspace
@@ -61,6 +61,23 @@ class SceneState:
     names: tuple[str, ...]
     position: Array
     velocity: Array
+
+
+@dataclass(frozen=True)
+class LinkErrors:
+    """What becomes of the states on their way from a simulated robot to its session.
+
+    Attributes:
+        loss: Fraction that never arrives, in 0..1.
+        delay_s: By which every other one is late, s.
+        jitter_s: By up to as much again, drawn uniformly for each, s.
+        seed: Numbers that decide which are lost and how late each is.
+    """
+
+    loss: float
+    delay_s: float
+    jitter_s: float
+    seed: tuple[int, ...]
 
 
 class Scene(Protocol):
@@ -193,6 +210,18 @@ class RobotBackend(Protocol):
 
     def close(self) -> None:
         """End; nothing else is called afterwards."""
+
+
+@runtime_checkable
+class LinkVaries(Protocol):
+    """A robot whose states shall not reach the session as they would by themselves.
+
+    For simulated robots, besides `RobotBackend`.
+    """
+
+    def link_errors(self) -> LinkErrors | None:
+        """What becomes of the states now; None if nothing. Asked in every cycle that has states:
+        another object begins anew with its seed."""
 
 
 def fresh_start_ns() -> int:

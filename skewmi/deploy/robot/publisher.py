@@ -5,12 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 
-from skewmi.deploy.robot.backend import RobotBackend, RobotState
+from skewmi.deploy.robot.backend import LinkErrors, LinkVaries, RobotBackend, RobotState
+from skewmi.deploy.robot.bad_link import BadLink
 from skewmi.deploy.robot.controller import RobotController
 from skewmi.deploy.robot.states import ServerEvent, ServerState
 from skewmi.deploy.robot.status import RobotStatus
 from skewmi.deploy.state_machine import Transition
 from skewmi.deploy.wire import topics
+from skewmi.deploy.wire.channels import Publisher
 from skewmi.deploy.wire.messages import JointStates, encode_joint_states
 from skewmi.deploy.wire.transport import Link
 from skewmi.trajectory import CYCLE_NS
@@ -37,6 +39,8 @@ class StatePublisher:
         self._joint_states = link.publisher(topics.YUMI_JOINT_STATES)
         self._scene_states = link.publisher(topics.YUMI_SCENE_STATES)
         self._status = link.publisher(topics.YUMI_STATUS)
+        self._link_varies = backend if isinstance(backend, LinkVaries) else None
+        self._bad_link: BadLink | None = None
         self._next_ns = self._stamp_ns = -1
         self._told_ns = -_STATUS_PERIOD_NS
         self._refused_told = 0
@@ -68,15 +72,35 @@ class StatePublisher:
             return
         self._next_ns = stamp_ns - stamp_ns % CYCLE_NS + CYCLE_NS
         self._stamp_ns = stamp_ns
+        if self._link_varies is not None:
+            self._vary_link(self._link_varies.link_errors())
         # The scene first: whoever sees joint states of a stamp has its scene states already.
         scene = None if self._backend.scene is None else self._backend.scene.state()
         if scene is not None:
             nothing = scene.position[:0]
             told = JointStates(stamp_ns, scene.names, scene.position, scene.velocity, nothing)
-            self._scene_states.put(encode_joint_states(told))
+            self._send(self._scene_states, encode_joint_states(told))
         names = self._backend.state_names
         joints = JointStates(stamp_ns, names, state.position, state.velocity, state.effort)
-        self._joint_states.put(encode_joint_states(joints))
+        self._send(self._joint_states, encode_joint_states(joints))
+
+    def carry(self) -> None:
+        """Send the states whose delay on a varied link is over."""
+        if self._bad_link is not None:
+            self._bad_link.carry(time.monotonic_ns())
+
+    def _send(self, publisher: Publisher, payload: bytes) -> None:
+        if self._bad_link is None:
+            publisher.put(payload)
+        else:
+            self._bad_link.take(publisher.put, payload, time.monotonic_ns())
+
+    def _vary_link(self, errors: LinkErrors | None) -> None:
+        """Begin anew if the link is another one: what the old one still holds is lost."""
+        if errors is None:
+            self._bad_link = None
+        elif self._bad_link is None or self._bad_link.errors is not errors:
+            self._bad_link = BadLink(errors)
 
     def status(self) -> None:
         """Publish the status if it is time for it: at once if the commander was refused something,

@@ -143,6 +143,7 @@ class RobotServer:
             self._controller.cycle(state, now_ns)
             self._publisher.states(state)
         self._serve()
+        self._publisher.carry()
         self._publisher.status()
 
     def _read(self) -> RobotState | None:

@@ -64,7 +64,10 @@ class ArmPhysics:
         self._qpos = self.batch.bind("qpos")
         self._hand_rotation = hand_rotation(workspace_of(layout))
         sensors = scene.model.nsensordata
-        self._part = {"sensordata": np.empty((num_envs, definition.WATCH_SUBSTEPS, sensors))}
+        # Friction that depends on the speed is set anew before every substep.
+        sticks = self.varied is not None and self.varied.sticks
+        self._stretch = 1 if sticks else definition.WATCH_SUBSTEPS
+        self._part = {"sensordata": np.empty((num_envs, self._stretch, sensors))}
         self._sensordata = np.empty((num_envs, definition.SUBSTEPS, sensors))
 
     def start(self, layout: PolicyLayout, hand_position_w: Array) -> None:
@@ -96,17 +99,28 @@ class ArmPhysics:
         period, steps = definition.WATCH_SUBSTEPS, definition.SUBSTEPS
         for begin in range(0, steps, period):
             if begin:
-                hand_w, _ = self.scene.hand_pose(self._qpos)
-                held = self.command.wait_for_hands(begin, hand_w)
+                held = self.command.wait_for_hands(begin, self._hand_w())
                 if held.size and self.varied is not None:
                     self.varied.delay(self.command.targets, self.servo_targets)
-            part = slice(begin, begin + period)
-            self.batch.rollout(
-                period, self.servo_targets[:, part], record=("sensordata",), out=self._part
-            )
-            self._sensordata[:, part] = self._part["sensordata"]
+            for at in range(begin, begin + period, self._stretch):
+                self._advance(slice(at, at + self._stretch))
         self._check()
         self._read_sensors()
+
+    def _advance(self, part: slice) -> None:
+        if self.varied is not None and self.varied.sticks:
+            self.varied.rub()
+        self.batch.rollout(
+            self._stretch, self.servo_targets[:, part], record=("sensordata",), out=self._part
+        )
+        self._sensordata[:, part] = self._part["sensordata"]
+
+    def _hand_w(self) -> Array:
+        """Hands as measured, but for the sensors' noise, world, m. Shape (num_envs, 3)."""
+        if self.varied is None:
+            return self.scene.hand_pose(self._qpos)[0]
+        measured = self.varied.measured(self._qpos[:, self.scene.arm_qpos])
+        return self.scene.arm_pose(measured)[0]
 
     def _check(self) -> None:
         if not self.batch.warning.any():

@@ -132,7 +132,11 @@ class ArmScene:
         Returns:
             Position in world, m, shape (..., 3); rotation hand to world, shape (..., 3, 3).
         """
-        position, rotation = self.kinematics.forward(qpos[..., self.arm_qpos])
+        return self.arm_pose(qpos[..., self.arm_qpos])
+
+    def arm_pose(self, arm_q: Array) -> tuple[Array, Array]:
+        """`hand_pose` of the arm joints alone, chain order, rad. Shape (..., 7)."""
+        position, rotation = self.kinematics.forward(arm_q)
         return position + frames.BASE_IN_WORLD, rotation
 
     def observation_values(self, qpos: Array, hand_position_w: Array) -> dict[str, Array]:

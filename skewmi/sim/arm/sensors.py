@@ -1,14 +1,17 @@
-"""Sensors with errors, and servos that get their targets late: a variation beside the models."""
+"""Sensors with errors: a variation beside the models."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skewmi.policy_io import Array
 from skewmi.sim.arm.arm_task import ArmTask
-from skewmi.sim.arm.definition import SIM_DT
-from skewmi.sim.arm.variation_keys import DELAY_MS, JOINT_NOISE
+from skewmi.sim.arm.variation_keys import (
+    EFFORT_NOISE,
+    JOINT_NOISE,
+    JOINT_OFFSET,
+    VELOCITY_NOISE,
+)
 from skewmi.sim.variation import ModelVariation, VariationSample
 
 _STREAM = 1
@@ -25,15 +28,10 @@ def random_stream(variation: ModelVariation, seed: int) -> np.random.Generator:
     return np.random.default_rng([seed, variation.seed, _STREAM])
 
 
-def delay_substeps(sample: VariationSample) -> NDArray[np.int64]:
-    """Delay of the servos in time steps of the physics. Shape (n,)."""
-    return np.rint(sample.get(DELAY_MS) / (SIM_DT * 1e3)).astype(np.int64)
-
-
 def sensors_err(variation: ModelVariation, arm: ArmTask) -> bool:
-    """Whether a variation has errors of any sensor."""
+    """Whether a variation has errors of any sensor of a position."""
     keys = [key for joint in arm.joints for key in (joint.bias_key, joint.noise_key) if key]
-    return variation.has(JOINT_NOISE, *keys)
+    return variation.has(JOINT_NOISE, JOINT_OFFSET, *keys)
 
 
 class SensorErrors:
@@ -42,11 +40,20 @@ class SensorErrors:
     Args:
         sample: Values drawn.
         arm: Names the keys of the scene's joints.
+
+    Attributes:
+        joint_offset: Measured less true angle of the arm joints, rad, shape (n, 7); None if they
+            are the same.
+        rates_err: Whether the arm's velocities or efforts have noise.
     """
 
     def __init__(self, sample: VariationSample, arm: ArmTask) -> None:
         self._n = sample.n
         self._joint_noise = sample.get(JOINT_NOISE)
+        self.joint_offset: Array | None = sample.values.get(JOINT_OFFSET)
+        self._velocity_noise = sample.get(VELOCITY_NOISE)
+        self._effort_noise = sample.get(EFFORT_NOISE)
+        self.rates_err = bool(self._velocity_noise.any() or self._effort_noise.any())
 
         def of_joints(keys: list[str]) -> Array:
             columns = [
@@ -65,7 +72,18 @@ class SensorErrors:
             Of the arm joints, rad, shape (n, 7); of the scene's joints, shape (n, joints).
         """
         white = rng.standard_normal((self._n, 7 + self._noise.shape[1]))
-        return (
-            self._joint_noise[:, None] * white[:, :7],
-            self._bias + self._noise * white[:, 7:],
-        )
+        joints = self._joint_noise[:, None] * white[:, :7]
+        if self.joint_offset is not None:
+            joints += self.joint_offset
+        return joints, self._bias + self._noise * white[:, 7:]
+
+    def draw_rates(self, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Errors of one reading of the arm's velocities, rad/s, and efforts, N m.
+
+        For whoever tells these: an observation has neither.
+
+        Returns:
+            Each shape (n, 7).
+        """
+        white = rng.standard_normal((2, self._n, 7))
+        return self._velocity_noise[:, None] * white[0], self._effort_noise[:, None] * white[1]

@@ -11,9 +11,19 @@ from skewmi.robot_models import yumi
 from skewmi.sim.arm.model_fields import ModelFields
 from skewmi.sim.variation import VariationKey
 
+FRICTION_SCALE = "servo.frictionloss_scale"
 DELAY_MS = "servo.delay_ms"
+STICTION_SCALE = "servo.stiction_scale"
+STRIBECK_VELOCITY = "servo.stribeck_velocity"
+BACKLASH = "servo.backlash"
 OPENING_ERROR = "gripper.opening_error"
 JOINT_NOISE = "sensors.joint_noise"
+JOINT_OFFSET = "sensors.joint_offset"
+VELOCITY_NOISE = "sensors.velocity_noise"
+EFFORT_NOISE = "sensors.effort_noise"
+LINK_LOSS = "link.loss"
+LINK_DELAY_MS = "link.delay_ms"
+LINK_JITTER_MS = "link.jitter_ms"
 """Keys that are no field of a model: whoever simulates the arm sees to them."""
 
 
@@ -35,6 +45,28 @@ def _scale_of_joints(field: str) -> Callable[[ModelFields, Array], None]:
     return scale
 
 
+def _set_joint_friction(fields: ModelFields, values: Array) -> None:
+    dofs = np.array([fields.dof(name) for name in yumi.joint_names("right")])
+    fields.write("dof_frictionloss")[:, dofs] = values
+
+
+def _scale_mass(fields: ModelFields, scale: Array) -> None:
+    model = fields.model
+    moved_by = np.full(model.nbody, -1)
+    for index, name in enumerate(yumi.joint_names("right")):
+        moved_by[model.joint(name).bodyid] = index
+    # A body stands after its parent: what hangs on a link is moved by the joint of that link.
+    for body in range(1, model.nbody):
+        if moved_by[body] < 0:
+            moved_by[body] = moved_by[model.body_parentid[body]]
+    bodies = np.flatnonzero(moved_by >= 0)
+    factors = scale[:, moved_by[bodies]]
+    fields.write("body_mass")[:, bodies] *= factors
+    fields.write("body_inertia")[:, bodies] *= factors[..., None]
+    # The controller goes on to hold up what it believes to be there.
+    fields.write("body_gravcomp")[:, bodies] /= factors
+
+
 def _servos(fields: ModelFields) -> Array:
     return np.array([fields.model.actuator(name).id for name in yumi.joint_names("right")])
 
@@ -47,17 +79,36 @@ def _set_friction(fields: ModelFields, value: Array) -> None:
 SERVO_KEYS = (
     VariationKey("servo.kp_scale", 0.2, 5.0, "1", 7, _scale_stiffness),
     VariationKey("servo.kd_scale", 0.2, 5.0, "1", 7, _scale_damping),
+    VariationKey(FRICTION_SCALE, 0.0, 10.0, "1", 7, _scale_of_joints("dof_frictionloss")),
     VariationKey(
-        "servo.frictionloss_scale", 0.0, 10.0, "1", 7, _scale_of_joints("dof_frictionloss")
+        "servo.frictionloss", 0.0, 3.0, "N m", 7, _set_joint_friction, excludes=FRICTION_SCALE
     ),
     VariationKey("servo.armature_scale", 0.2, 5.0, "1", 7, _scale_of_joints("dof_armature")),
     VariationKey(DELAY_MS, 0.0, 100.0, "ms"),
+    VariationKey(STICTION_SCALE, 1.0, 5.0, "1", 7),
+    VariationKey(STRIBECK_VELOCITY, 0.001, 1.0, "rad/s", 7),
+    VariationKey(BACKLASH, 0.0, 0.05, "rad", 7),
 )
 CONTACT_KEYS = (VariationKey("contact.friction", 0.05, 2.0, "1", 1, _set_friction),)
-SENSOR_KEYS = (VariationKey(JOINT_NOISE, 0.0, 0.05, "rad"),)
+SENSOR_KEYS = (
+    VariationKey(JOINT_NOISE, 0.0, 0.05, "rad"),
+    VariationKey(JOINT_OFFSET, -0.05, 0.05, "rad", 7),
+    VariationKey(VELOCITY_NOISE, 0.0, 0.5, "rad/s"),
+    VariationKey(EFFORT_NOISE, 0.0, 5.0, "N m"),
+)
 GRIPPER_KEYS = (VariationKey(OPENING_ERROR, -0.005, 0.005, "m"),)
+MASS_KEYS = (VariationKey("arm.mass_scale", 0.5, 2.0, "1", 7, _scale_mass),)
+"""Of the arm's links, the hand with the last."""
+LINK_KEYS = (
+    VariationKey(LINK_LOSS, 0.0, 0.9, "1"),
+    VariationKey(LINK_DELAY_MS, 0.0, 500.0, "ms"),
+    VariationKey(LINK_JITTER_MS, 0.0, 500.0, "ms"),
+)
+"""Of what the states of a robot server travel on: nothing that a batched simulation has."""
 
-ARM_KEYS = (*SERVO_KEYS, *CONTACT_KEYS, *SENSOR_KEYS, *GRIPPER_KEYS)
+ARM_KEYS = (
+    *SERVO_KEYS, *CONTACT_KEYS, *SENSOR_KEYS, *GRIPPER_KEYS, *MASS_KEYS, *LINK_KEYS,
+)  # fmt: skip
 """What may vary whatever stands before the arm."""
 
 

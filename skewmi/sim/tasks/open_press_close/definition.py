@@ -17,6 +17,8 @@ from skewmi.sim.arm.reach import STOP_MARGIN, TIP
 from skewmi.sim.arm.variation_keys import (
     CONTACT_KEYS,
     GRIPPER_KEYS,
+    LINK_KEYS,
+    MASS_KEYS,
     SENSOR_KEYS,
     SERVO_KEYS,
     joint_key,
@@ -73,6 +75,8 @@ VARIATION_KEYS = (
     VariationKey("sensors.lid_noise_deg", 0.0, 20.0, "deg"),
     VariationKey("sensors.button_noise", 0.0, 0.01, "m"),
     *GRIPPER_KEYS,
+    *MASS_KEYS,
+    *LINK_KEYS,
 )
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping
 from math import inf
 
 import numpy as np
 
-from skewmi.deploy.robot.backend import BackendFaultError, RobotBackend, RobotState
+from skewmi.deploy.robot.backend import BackendFaultError, LinkErrors, RobotBackend, RobotState
 from skewmi.deploy.robot.backends import BackendOptions
 from skewmi.deploy.robot.backends.mujoco.scene import MujocoScene
 from skewmi.deploy.robot.backends.mujoco.simulation import ArmSimulation
@@ -17,9 +18,11 @@ from skewmi.robot_models import yumi
 from skewmi.sim.arm.definition import FINGER_MAX
 from skewmi.trajectory import GRID_NS, JointPoint
 
+_log = logging.getLogger(__name__)
+
 
 class MujocoBackend:
-    """Arm and gripper of a simulation; satisfies `RobotBackend`.
+    """Arm and gripper of a simulation; satisfies `RobotBackend` and `LinkVaries`.
 
     Args:
         simulation: Of a task; the nominal one of the registry's default task if not given.
@@ -47,6 +50,11 @@ class MujocoBackend:
 
     def open(self, may_advance: Callable[[], bool]) -> None:
         """Begin."""
+        if self.lock_step and self.simulation.link_errors is not None:
+            _log.warning(
+                "the variation's section 'link' has no effect in lock-step, where time waits for "
+                "the link; leave out --lock-step to have it"
+            )
         self._pace = make_pace(GRID_NS, may_advance, lock_step=self.lock_step)
 
     def readiness(self) -> str | None:
@@ -103,6 +111,10 @@ class MujocoBackend:
                 f"finger opening {opening:.4g} m is outside 0..{FINGER_MAX:g} m"
             )
         self.simulation.open_gripper(opening)
+
+    def link_errors(self) -> LinkErrors | None:
+        """What the variation says; nothing in lock-step, where time waits for the link."""
+        return None if self.lock_step else self.simulation.link_errors
 
     def told(self) -> Mapping[str, str]:
         """Nothing more."""

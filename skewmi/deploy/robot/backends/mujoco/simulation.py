@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 import copy
-from collections import deque
 
 import mujoco
 import numpy as np
 
-from skewmi.deploy.robot.backend import BackendFaultError, RobotState, SceneState
+from skewmi.deploy.robot.backend import BackendFaultError, LinkErrors, RobotState, SceneState
 from skewmi.deploy.robot.backends.mujoco.contact_meter import ContactMeter
 from skewmi.errors import ConfigurationError, NotFoundError
 from skewmi.policy_io import Array, PolicyLayout
 from skewmi.robot_models import yumi
 from skewmi.sim import tasks
+from skewmi.sim.arm.drive import Drive, Stribeck
 from skewmi.sim.arm.model_fields import model_fields
 from skewmi.sim.arm.scene import ArmScene, hand_rotation, workspace_of
-from skewmi.sim.arm.sensors import SensorErrors, delay_substeps, random_stream
-from skewmi.sim.arm.variation_keys import OPENING_ERROR
+from skewmi.sim.arm.sensors import SensorErrors, random_stream
+from skewmi.sim.arm.variation_keys import (
+    LINK_DELAY_MS,
+    LINK_JITTER_MS,
+    LINK_LOSS,
+    OPENING_ERROR,
+    STICTION_SCALE,
+)
 from skewmi.sim.variation import VariationSample
 from skewmi.trajectory import GRID_S, JointPoint
 
@@ -36,6 +42,10 @@ class ArmSimulation:
         variation: How robot and scene differ from the nominal ones: a variation file, a bundled
             name, or JSON. Its values are drawn at each reset from the seed of that reset.
             Shapes for replays stay nominal, as does all that the robot is told.
+
+    Attributes:
+        link_errors: What the variation says of the way to the session, as the last reset drew it;
+            None if nothing. Whoever publishes the states sees to it.
 
     Raises:
         NotFoundError: The task has no scene with a robot, or there is no such variation file.
@@ -76,6 +86,7 @@ class ArmSimulation:
         self._variation = self.spec.variations.resolve(variation)
         self._nominal_model = copy.copy(self.scene.model)
         self._opening_error = 0.0
+        self._stribeck: Stribeck | None = None
         self.reset(seed=0)
         if start_configuration is not None:
             self._data.qpos[self.scene.arm_qpos] = start_configuration
@@ -86,7 +97,7 @@ class ArmSimulation:
     def robot_state(self, time_ns: int) -> RobotState:
         """Present positions, velocities and servo forces, of the arm and then of the fingers.
 
-        Positions have the variation's sensor errors, one draw a step.
+        They have the variation's sensor errors, one draw a step.
         """
         data, scene = self._data, self.scene
         arm = data.qpos[scene.arm_qpos]
@@ -98,6 +109,9 @@ class ArmSimulation:
         velocity = _appended(data.qvel[scene.arm_dof], 0.5 * (first + second))
         force = data.actuator_force
         effort = _appended(force[scene.arm_ctrl], force[scene.finger_ctrl])
+        if self._rate_errors is not None:
+            velocity[:7] += self._rate_errors[0][0]
+            effort[:7] += self._rate_errors[1][0]
         return RobotState(time_ns, position, velocity, effort)
 
     def scene_state(self) -> SceneState:
@@ -116,17 +130,13 @@ class ArmSimulation:
         """
         controls = self.scene.controls(self.command.q, 0.0, self.command.v)
         controls[self.scene.finger_ctrl] = self._finger_target
-        self._pending.append(controls)
-        self._data.ctrl[:] = self._pending.popleft()
+        self._data.ctrl[:] = self._drive.arriving(controls)
+        if self._stribeck is not None:
+            dofs = self.scene.arm_dof
+            friction = self._stribeck.friction(self._data.qvel[None, dofs])
+            self.scene.model.dof_frictionloss[dofs] = friction[0]
         mujoco.mj_step(self.scene.model, self._data, self._substeps)
-        raised = []
-        for index in range(mujoco.mjtWarning.mjNWARNING.value):
-            if self._data.warning[index].number:
-                raised.append(mujoco.mjtWarning(index).name)
-                # Told once: a fault that was acknowledged is over.
-                self._data.warning[index].number = 0
-        if raised:
-            raise BackendFaultError(f"the simulation raised {', '.join(raised)}")
+        self._check()
         self._read_sensors()
         # The true pose, not what the sensors say.
         self.contact.add(
@@ -135,6 +145,16 @@ class ArmSimulation:
             self._data.site_xpos[self._hand_site],
             self._data.site_xmat[self._hand_site],
         )
+
+    def _check(self) -> None:
+        raised = []
+        for index in range(mujoco.mjtWarning.mjNWARNING.value):
+            if self._data.warning[index].number:
+                raised.append(mujoco.mjtWarning(index).name)
+                # Told once: a fault that was acknowledged is over.
+                self._data.warning[index].number = 0
+        if raised:
+            raise BackendFaultError(f"the simulation raised {', '.join(raised)}")
 
     def open_gripper(self, opening: float) -> None:
         """Move each finger to `opening` m from closed."""
@@ -149,18 +169,18 @@ class ArmSimulation:
         Returns:
             Where the arm rests. Shape (7,), rad.
         """
-        sample: VariationSample | None = None
+        self._sample: VariationSample | None = None
         if not self._variation.is_nominal:
             self._rng = random_stream(self._variation, seed)
-            sample = self._variation.sample(self._rng, 1)
-            self._write_model(sample)
+            self._sample = self._variation.sample(self._rng, 1)
+            self._write_model(self._sample)
         self.scene.reset(self._data, layout=self.layout)
         self._sensors: SensorErrors | None = None
-        self._delay = 0
-        if sample is not None:
-            self._sensors = SensorErrors(sample, self.scene.task)
-            self._delay = int(delay_substeps(sample)[0]) // self._substeps
-            self._opening_error = float(sample.get(OPENING_ERROR)[0])
+        self.link_errors: LinkErrors | None = None
+        if self._sample is not None:
+            self._sensors = SensorErrors(self._sample, self.scene.task)
+            self.link_errors = _link_errors(self._sample, (seed, self._variation.seed))
+            self._opening_error = float(self._sample.get(OPENING_ERROR)[0])
             self._data.qpos[self.scene.finger_qpos] += self._opening_error
             self._data.ctrl[self.scene.finger_ctrl] += self._opening_error
             mujoco.mj_forward(self.scene.model, self._data)
@@ -181,6 +201,10 @@ class ArmSimulation:
         """Make the model that of the values drawn, whatever it was before."""
         model = self.scene.model
         fields = model_fields(self._nominal_model, self.scene.task.variations.keys, sample)
+        if self._variation.has(STICTION_SCALE):
+            # Changed in every step: an episode starts from what it is in motion.
+            sliding = fields.write("dof_frictionloss")[:, self.scene.arm_dof]
+            self._stribeck = Stribeck(sample, sliding)
         for name, values in fields.values.items():
             getattr(model, name)[:] = values[0]
         if fields.needs_set_const:
@@ -191,10 +215,22 @@ class ArmSimulation:
         self.command = JointPoint(np.array(q), _REST, _REST)
         """What the servos follow in the next step."""
         self._finger_target = float(self._data.ctrl[self.scene.finger_ctrl])
-        self._pending = deque(self._data.ctrl.copy() for _ in range(self._delay))
+        self._drive = Drive(self._sample, self._data.ctrl, self.scene.arm_ctrl)
 
     def _read_sensors(self) -> None:
-        self._errors = None if self._sensors is None else self._sensors.draw(self._rng)
+        self._errors = self._rate_errors = None
+        if self._sensors is not None:
+            self._errors = self._sensors.draw(self._rng)
+            if self._sensors.rates_err:
+                self._rate_errors = self._sensors.draw_rates(self._rng)
+
+
+def _link_errors(sample: VariationSample, seed: tuple[int, ...]) -> LinkErrors | None:
+    names = (LINK_LOSS, LINK_DELAY_MS, LINK_JITTER_MS)
+    if not any(name in sample.values for name in names):
+        return None
+    loss, delay_ms, jitter_ms = (float(sample.get(name)[0]) for name in names)
+    return LinkErrors(loss, 1e-3 * delay_ms, 1e-3 * jitter_ms, seed)
 
 
 def _appended(values: Array, last: float) -> Array:
