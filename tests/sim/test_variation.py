@@ -53,12 +53,16 @@ def test_the_nominal_variation_changes_no_bit_and_expands_no_field() -> None:
 def test_values_that_equal_the_nominal_ones_change_no_bit() -> None:
     lid_mass = float(nominal_model().body("lid").mass[0])
     variation = VARIATIONS.parse(
-        "servo: {kp_scale: 1, kd_scale: 1, frictionloss_scale: 1, armature_scale: 1, delay_ms: 0}\n"
+        "servo: {kp_scale: 1, kd_scale: 1, frictionloss_scale: 1, armature_scale: 1, delay_ms: 0,\n"
+        "  stiction_scale: 1, stribeck_velocity: 0.01, backlash: 0}\n"
+        "arm: {mass_scale: 1}\n"
         "lid: {frictionloss: 0.12, damping: 0.02, mass: " + repr(lid_mass) + "}\n"
         "button: {frictionloss: 3.0, travel: 0.03}\n"
         "box_pose: {x: 0, y: 0, yaw_deg: 0}\n"
-        "sensors: {joint_noise: 0, lid_bias_deg: 0, lid_noise_deg: 0, button_noise: 0}\n"
+        "sensors: {joint_noise: 0, lid_bias_deg: 0, lid_noise_deg: 0, button_noise: 0,\n"
+        "  joint_offset: 0, velocity_noise: 0, effort_noise: 0}\n"
         "gripper: {opening_error: 0}\n"
+        "link: {loss: 0, delay_ms: 0, jitter_ms: 0}\n"
     )
     np.testing.assert_array_equal(play(make(variation), 20), play(make(), 20))
 
@@ -113,6 +117,7 @@ _LID, _BUTTON = 9, 10
 
 def _fields(key: str, value: float, m: mujoco.MjModel) -> list[tuple[str, object, object]]:
     box, lid = m.body("box").id, m.body("lid").id
+    arm = [b for b in range(m.nbody) if _hangs_on(m, b, m.body("yumi_link_1_r").id)]
     half = np.radians(value) / 2
     return {
         "servo.kp_scale": [
@@ -121,6 +126,12 @@ def _fields(key: str, value: float, m: mujoco.MjModel) -> list[tuple[str, object
         ],
         "servo.kd_scale": [("actuator_biasprm", (_ARM, 2), value * m.actuator_biasprm[:7, 2])],
         "servo.frictionloss_scale": [("dof_frictionloss", _ARM, value * m.dof_frictionloss[:7])],
+        "servo.frictionloss": [("dof_frictionloss", _ARM, value)],
+        "arm.mass_scale": [
+            ("body_mass", arm, value * m.body_mass[arm]),
+            ("body_inertia", arm, value * m.body_inertia[arm]),
+            ("body_gravcomp", arm, m.body_gravcomp[arm] / value),
+        ],
         "servo.armature_scale": [("dof_armature", _ARM, value * m.dof_armature[:7])],
         "lid.frictionloss": [("dof_frictionloss", _LID, value)],
         "lid.damping": [("dof_damping", _LID, value)],
@@ -137,13 +148,17 @@ def _fields(key: str, value: float, m: mujoco.MjModel) -> list[tuple[str, object
     }[key]
 
 
-_MODEL_KEYS = [
-    key for key in KEYS
-    if not key.startswith(("sensors.", "gripper.")) and key != "servo.delay_ms"
-]  # fmt: skip
+def _hangs_on(m: mujoco.MjModel, body: int, root: int) -> bool:
+    while body not in (0, root):
+        body = int(m.body_parentid[body])
+    return body == root
+
+
+_MODEL_KEYS = [key for key, spec in KEYS.items() if spec.apply is not None]
 _WRITTEN = {
     "actuator_gainprm", "actuator_biasprm", "dof_frictionloss", "dof_armature", "dof_damping",
-    "body_mass", "body_inertia", "body_pos", "body_quat", "jnt_range", "geom_friction",
+    "body_mass", "body_inertia", "body_gravcomp", "body_pos", "body_quat", "jnt_range",
+    "geom_friction",
 }  # fmt: skip
 
 
@@ -202,6 +217,24 @@ def test_a_delay_moves_the_targets_by_whole_substeps() -> None:
     direct = np.concatenate(rows[id(prompt)], axis=1)
     np.testing.assert_array_equal(delayed[:, 5:], direct[:, :-5])
     np.testing.assert_array_equal(delayed[:, :5], np.repeat(start[:, None], 5, axis=1))
+
+
+def test_a_part_of_a_substep_is_shared_between_two_targets() -> None:
+    def targets(ms: float) -> np.ndarray:
+        env = make(f"{{servo: {{delay_ms: {ms}}}}}", n=2)
+        env.reset(1)
+        rows = []
+        for action in ([0.0, 0.3, 0.3], [0.1, -0.2, 0.2], [0.0, 0.1, 0.0]):
+            env.step(np.array([action] * 2))
+            rows.append(env.servo_targets.copy())
+        return np.concatenate(rows, axis=1)
+
+    expected = 0.75 * targets(20) + 0.25 * targets(24)
+    np.testing.assert_allclose(targets(21), expected, rtol=0, atol=1e-12)
+    assert np.abs(targets(21) - targets(20)).max() > 1e-4
+    # The bounds of what is allowed, and just below.
+    assert np.isfinite(targets(100)).all()
+    np.testing.assert_allclose(targets(99.999), targets(100), atol=1e-5)
 
 
 def test_a_late_servo_lags_behind() -> None:

@@ -27,7 +27,8 @@ def _values(key: str) -> st.SearchStrategy:
 @st.composite
 def _variations(draw: st.DrawFn) -> ModelVariation:
     content: dict = {"seed": draw(st.integers(0, 9))}
-    for key in draw(st.sets(st.sampled_from(list(KEYS)))):
+    drawn = draw(st.sets(st.sampled_from(list(KEYS))))
+    for key in drawn - {KEYS[name].excludes for name in drawn}:
         section, _, name = key.partition(".")
         content.setdefault(section, {})[name] = draw(_values(key))
     return VARIATIONS.parse(str(content))
@@ -85,6 +86,22 @@ def test_seven_values_belong_to_the_joints_in_order() -> None:
         ("lid: {mass: .nan}", "lid.mass is nan"),
         ("lid: {mass: 50}", "within 0.01..1 kg"),
         ("servo: {kp_scale: [1, 1, 1]}", "or a list of 7 of these"),
+        ("servo: {frictionloss: 4}", "servo.frictionloss is 4; it must be a number or [low, high]"),
+        ("servo: {frictionloss: -0.1}", "within 0..3 N m"),
+        (
+            "servo: {frictionloss: 1, frictionloss_scale: 2}",
+            "servo.frictionloss and servo.frictionloss_scale are both given and say the same; "
+            "leave one out",
+        ),
+        ("servo: {stiction_scale: 0.5}", "within 1..5,"),
+        ("servo: {backlash: 0.1}", "within 0..0.05 rad"),
+        ("sensors: {joint_offset: 1}", "within -0.05..0.05 rad"),
+        ("sensors: {velocity_noise: 2}", "within 0..0.5 rad/s"),
+        ("sensors: {effort_noise: -1}", "within 0..5 N m"),
+        ("arm: {mass_scale: 3}", "within 0.5..2"),
+        ("link: {loss: 1}", "within 0..0.9"),
+        ("link: {jitter_ms: 501}", "within 0..500 ms"),
+        ("link: {lost: 0.1}", "link has no key 'lost'; allowed: loss, delay_ms, jitter_ms"),
         ("seed: -1", "seed is -1"),
         ("seed: 1.5", "seed is 1.5"),
         ("- 1", "must map sections to keys"),

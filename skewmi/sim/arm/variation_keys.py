@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skewmi.policy_io import Array
 from skewmi.robot_models import yumi
@@ -25,6 +26,10 @@ LINK_LOSS = "link.loss"
 LINK_DELAY_MS = "link.delay_ms"
 LINK_JITTER_MS = "link.jitter_ms"
 """Keys that are no field of a model: whoever simulates the arm sees to them."""
+
+_DRY_SOLREF = (0.008, 1.0)
+_DRY_SOLIMP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
+"""Solver parameters of friction that holds: time constant t of two time steps, impedance d."""
 
 
 def _scale_stiffness(fields: ModelFields, scale: Array) -> None:
@@ -48,6 +53,23 @@ def _scale_of_joints(field: str) -> Callable[[ModelFields, Array], None]:
 def _set_joint_friction(fields: ModelFields, values: Array) -> None:
     dofs = np.array([fields.dof(name) for name in yumi.joint_names("right")])
     fields.write("dof_frictionloss")[:, dofs] = values
+    _make_friction_dry(fields, np.ones_like(values, dtype=np.bool_))
+
+
+def _let_joints_stick(fields: ModelFields, scale: Array) -> None:
+    # The friction itself depends on the speed: whoever simulates the arm sees to that.
+    if np.any(scale > 1.0):
+        _make_friction_dry(fields, scale > 1.0)
+
+
+def _make_friction_dry(fields: ModelFields, dry: NDArray[np.bool_]) -> None:
+    # MuJoCo's friction constraint is soft, and below the speed R F / B it is nothing but viscous
+    # (R = (1 - d) / d / inertia, B = 2 / (d t)): 0.1 rad/s for 2 N m in the wrist by default, so
+    # that a joint creeps all the way under less torque than its friction. These make it 1e-4 rad/s.
+    dofs = np.array([fields.dof(name) for name in yumi.joint_names("right")])
+    for field, values in (("dof_solref", _DRY_SOLREF), ("dof_solimp", _DRY_SOLIMP)):
+        written = fields.write(field)
+        written[:, dofs] = np.where(dry[..., None], values, written[:, dofs])
 
 
 def _scale_mass(fields: ModelFields, scale: Array) -> None:
@@ -85,7 +107,7 @@ SERVO_KEYS = (
     ),
     VariationKey("servo.armature_scale", 0.2, 5.0, "1", 7, _scale_of_joints("dof_armature")),
     VariationKey(DELAY_MS, 0.0, 100.0, "ms"),
-    VariationKey(STICTION_SCALE, 1.0, 5.0, "1", 7),
+    VariationKey(STICTION_SCALE, 1.0, 5.0, "1", 7, _let_joints_stick),
     VariationKey(STRIBECK_VELOCITY, 0.001, 1.0, "rad/s", 7),
     VariationKey(BACKLASH, 0.0, 0.05, "rad", 7),
 )
