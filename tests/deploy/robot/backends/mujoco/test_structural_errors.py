@@ -22,14 +22,13 @@ def exact() -> ArmSimulation:
     return ArmSimulation()
 
 
-def follow(robot: ArmSimulation, path: np.ndarray, velocity: float = 0.0) -> list[RobotState]:
-    """States while axis 4 is commanded along a path from where it started, rad, one point a tick,
-    with a feed-forward of its velocity, rad/s."""
-    q0, v, states = robot.reset(0), np.array([0.0] * 4 + [velocity] + [0.0] * 2), []
+def follow(robot: ArmSimulation, path: np.ndarray) -> list[RobotState]:
+    """States while axis 4 is commanded along a path from where it started, rad, one point a tick."""
+    q0, states = robot.reset(0), []
     for offset in path:
         q = q0.copy()
         q[4] += offset
-        robot.command = JointPoint(q, v, REST)
+        robot.command = JointPoint(q, REST, REST)
         robot.step()
         states.append(robot.robot_state(0))
     return states
@@ -85,7 +84,7 @@ def test_a_sticking_joint_breaks_away_at_more_torque_than_it_slides_with() -> No
         stuck = (
             f"{{servo: {{frictionloss: 0.5, stiction_scale: {scale}, stribeck_velocity: 0.02}}}}"
         )
-        effort = axis_4(follow(ArmSimulation(variation=stuck), path, 0.2), "effort")
+        effort = axis_4(follow(ArmSimulation(variation=stuck), path), "effort")
         peak[scale] = effort.max()
         assert effort[-100:] == pytest.approx(0.5, rel=0.01)
     assert 1.5 <= peak[3] < 2.3
