@@ -1,0 +1,280 @@
+"""Stiffness, damping, friction and delay of the servos from commanded and measured positions.
+
+The arm is simulated under the recorded commands (`ServoModel`), and what is unknown is chosen such
+that simulated positions are the measured ones, by least squares. Candidates are simulated in
+batches; the optimiser is `mujoco.minimize.least_squares`, the one of `mujoco.sysid`. The rest of
+that toolbox is not used: it compiles a model for every candidate, and its intervals take residuals
+for white (`uncertainty` says why they are not). So nothing beyond mujoco itself is needed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from mujoco import minimize
+
+from skewmi.calibration.servo_model import DelayedServo, ServoModel
+from skewmi.calibration.servo_parameters import ServoUnknowns
+from skewmi.calibration.servo_recording import ServoRecording
+from skewmi.calibration.uncertainty import (
+    TWO_SIDED_95,
+    FitCovariance,
+    autocorrelation_time,
+    fit_covariance,
+)
+from skewmi.errors import ConfigurationError
+from skewmi.robot_models.servo import ServoParameters
+from skewmi.robot_models.yumi import Array
+
+SETTLE_S = 0.5
+"""Left out after the motion begins, s: friction holds a resting joint anywhere around its command,
+and it takes a movement until the simulated joint is where the real one is."""
+RESOLUTION = 1e-5
+"""Least standard deviation of a residual, rad: no encoder and no integrator is better."""
+SUCH_DELAYS_S = (0.0, 0.012, 0.024, 0.036, 0.048, 0.060, 0.080)
+SUCH_FRICTIONS = (0.2, 1.0)
+"""Starts that are tried, N m."""
+LOOK_S = 10.0
+"""Of a recording that a start is judged by, s."""
+STEP = 1e-4
+ITERATIONS, ITERATIONS_AGAIN = 40, 8
+NOT_EQUAL = 1.5
+"""Ratio of the joints' residuals from which the fit is repeated with weights for it."""
+KNOWN = 0.2
+"""Largest half-width, as a part of the value, of a constant that counts as identified."""
+KNOWN_FRICTION = 0.02
+"""The same for friction, N m, if that is more."""
+HANG_TOGETHER_S = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """Values with their 95 % intervals. Each shape (7,), of the delay (1,)."""
+
+    value: Array
+    low: Array
+    high: Array
+    identified: tuple[bool, ...]
+    """Whether the interval is narrow enough to say that the value is known."""
+
+
+@dataclass(frozen=True, eq=False)
+class ServoIdentification:
+    """What was found.
+
+    Attributes:
+        servo: The servos.
+        estimates: `kp` (N m/rad), `kd` (N m s/rad), `frictionloss` (N m), `kd_over_kp` (s),
+            `frictionloss_over_kp` (rad), `delay` (s), and `armature` (kg m^2) if it was unknown.
+        residual_rms: Of simulated less measured positions, rad. Shape (7,).
+        autocorrelation_time: Of the residuals, in samples; 1 is white. Shape (7,).
+        nominal_rms: Residual of the nominal servos, rad.
+        seconds_of_motion: That were used.
+    """
+
+    servo: DelayedServo
+    estimates: Mapping[str, Estimate]
+    residual_rms: Array
+    autocorrelation_time: Array
+    nominal_rms: float
+    seconds_of_motion: float
+
+
+class ServoIdentifier:
+    """Identifies servos from one or more recordings of one arm.
+
+    Args:
+        model: That candidates are simulated with.
+        recordings: In free space.
+        nominal: Where the search begins; its force limits and armature are taken for known.
+        free_armature: Whether to identify the armature, too. Stiffness, damping, friction and
+            armature of a wrist joint, whose link weighs nothing, then show as ratios only: the
+            intervals of the constants say so.
+
+    Raises:
+        ConfigurationError: There is no recording, or an arm does not move in one.
+    """
+
+    def __init__(
+        self,
+        model: ServoModel,
+        recordings: Sequence[ServoRecording],
+        nominal: ServoParameters,
+        *,
+        free_armature: bool = False,
+    ) -> None:
+        if not recordings:
+            raise ConfigurationError("servos are identified from one recording at least; got none")
+        for recording in recordings:
+            _require_motion(recording)
+        self._model, self._recordings = model, tuple(recordings)
+        self._unknowns = ServoUnknowns(nominal, free_armature)
+        self._rows = [r.times_s >= r.motion_begins_s + SETTLE_S for r in recordings]
+
+    def run(self, start: DelayedServo | None = None) -> ServoIdentification:
+        """Identify.
+
+        Args:
+            start: Where to begin, of an earlier calibration; without it several are tried.
+        """
+        nominal = self._unknowns.nominal
+        vector = self._first() if start is None else self._unknowns.vector(start)
+        weight = np.full(7, 1.0 / RESOLUTION)
+        vector = self._minimised(vector, weight, ITERATIONS)
+        residual = self._residual(vector[:, None])[..., 0]
+        sigma = self._sigma(residual)
+        if sigma.max() > NOT_EQUAL * sigma.min():
+            weight = 1.0 / sigma
+            vector = self._minimised(vector, weight, ITERATIONS_AGAIN)
+            residual = self._residual(vector[:, None])[..., 0]
+            sigma = self._sigma(residual)
+        seconds = sum(float(np.ptp(r.times_s)) for r in self._recordings)
+        lags = round(HANG_TOGETHER_S * len(residual) / seconds)
+        covariance = fit_covariance(residual, self._jacobian(vector), weight, sigma, lags)
+        far = self._residual(self._unknowns.vector(DelayedServo(nominal, 0.0))[:, None])
+        return ServoIdentification(
+            servo=self._unknowns.servo(vector),
+            estimates=self._estimates(vector, covariance),
+            residual_rms=_rms(residual),
+            autocorrelation_time=np.array([autocorrelation_time(c) for c in residual.T]),
+            nominal_rms=float(np.sqrt((far**2).mean())),
+            seconds_of_motion=seconds,
+        )
+
+    def _first(self) -> Array:
+        """The best of some starts, on the first seconds of the first recording."""
+        nominal = self._unknowns.nominal
+        short = self._recordings[0].shortened(LOOK_S)
+        starts = [
+            DelayedServo(nominal.with_changes(frictionloss=np.full(7, friction)), delay)
+            for delay in SUCH_DELAYS_S
+            for friction in SUCH_FRICTIONS
+        ]
+        error = self._model.positions(starts, short) - short.positions
+        # Of each start the joints' errors by their smallest: a stiff one's count as a soft one's.
+        size = (error**2).mean(axis=1)
+        best = int(np.argmin((size / size.min(axis=0)).sum(axis=1)))
+        return self._unknowns.vector(starts[best])
+
+    def _residual(self, vectors: Array) -> Array:
+        """Simulated less measured positions, rad. (p, k) -> (m, 7, k)."""
+        servos = [self._unknowns.servo(column) for column in vectors.T]
+        parts = [
+            (self._model.positions(servos, recording) - recording.positions)[:, rows]
+            for recording, rows in zip(self._recordings, self._rows, strict=True)
+        ]
+        residual: Array = np.concatenate(parts, axis=1).transpose(1, 2, 0)
+        return residual
+
+    def _minimised(self, vector: Array, weight: Array, iterations: int) -> Array:
+        found, _ = minimize.least_squares(
+            vector,
+            _columns(self._residual, weight),
+            bounds=self._unknowns.bounds(),
+            eps=STEP,
+            max_iter=iterations,
+            xtol=1e-6,
+            verbose=minimize.Verbosity.SILENT,
+            x_scale="jac",
+        )
+        best: Array = found.ravel()
+        return best
+
+    def _jacobian(self, vector: Array) -> Array:
+        """By central differences where the bounds leave room, rad. Shape (m, 7, p)."""
+        low, high = self._unknowns.bounds()
+        step = np.diag(STEP * np.maximum(1.0, np.abs(vector)))
+        ahead = np.clip(vector[:, None] + step, low[:, None], high[:, None])
+        behind = np.clip(vector[:, None] - step, low[:, None], high[:, None])
+        width = np.diag(ahead) - np.diag(behind)
+        return (self._residual(ahead) - self._residual(behind)) / width
+
+    def _sigma(self, residual: Array) -> Array:
+        free = max(len(residual) - self._unknowns.size / 7.0, 1.0)
+        sigma: Array = np.maximum(np.sqrt((residual**2).sum(axis=0) / free), RESOLUTION)
+        return sigma
+
+    def _estimates(self, vector: Array, covariance: FitCovariance) -> dict[str, Estimate]:
+        servo = self._unknowns.servo(vector)
+        own = servo.parameters
+        values = {
+            "kp": own.kp,
+            "kd": own.kd,
+            "kd_over_kp": own.kd / own.kp,
+            "frictionloss": own.frictionloss,
+            "frictionloss_over_kp": own.frictionloss / own.kp,
+            "delay": np.array([servo.delay_s]),
+            "armature": own.armature,
+        }
+        found = {}
+        for name, derivative in self._unknowns.derivatives(vector).items():
+            half = TWO_SIDED_95 * covariance.deviations(derivative)
+            value = values[name]
+            if name.startswith(("friction", "delay")):
+                low, high = np.maximum(value - half, 0.0), value + half
+            else:
+                # Half-widths of logarithms; beyond e^20 a value is not known anyway.
+                half = np.minimum(half, 20.0)
+                low, high = value * np.exp(-half), value * np.exp(half)
+            found[name] = Estimate(value, low, high, _known(name, value, low, high, own.kp))
+        return found
+
+
+def position_rms(model: ServoModel, servo: DelayedServo, recording: ServoRecording) -> Array:
+    """RMS of simulated less measured positions of a recording, rad. Shape (7,)."""
+    rows = recording.times_s >= recording.motion_begins_s + SETTLE_S
+    return _rms((model.positions([servo], recording)[0] - recording.positions)[rows])
+
+
+def identify_servos(
+    model: ServoModel,
+    recordings: Sequence[ServoRecording],
+    nominal: ServoParameters,
+    *,
+    free_armature: bool = False,
+    start: DelayedServo | None = None,
+) -> ServoIdentification:
+    """`ServoIdentifier` in one call; arguments and errors as there."""
+    return ServoIdentifier(model, recordings, nominal, free_armature=free_armature).run(start)
+
+
+def _known(name: str, value: Array, low: Array, high: Array, kp: Array) -> tuple[bool, ...]:
+    allowed = KNOWN * value
+    if name == "frictionloss":
+        allowed = np.maximum(allowed, KNOWN_FRICTION)
+    elif name == "frictionloss_over_kp":
+        allowed = np.maximum(allowed, KNOWN_FRICTION / kp)
+    elif name == "delay":
+        allowed = np.maximum(allowed, 0.002)
+    return tuple(bool(known) for known in (high - low) / 2.0 <= allowed)
+
+
+def _columns(residual: Callable[[Array], Array], weight: Array) -> Callable[[Array], Array]:
+    """As the optimiser wants it: (p, k) -> (7 m, k)."""
+
+    def weighted(vectors: Array) -> Array:
+        found = residual(vectors) * weight[:, None]
+        return found.reshape(-1, found.shape[-1])
+
+    return weighted
+
+
+def _rms(residual: Array) -> Array:
+    rms: Array = np.sqrt((residual**2).mean(axis=0))
+    return rms
+
+
+def _require_motion(recording: ServoRecording) -> None:
+    still = np.flatnonzero(np.ptp(recording.commands.q, axis=0) < 1e-3)
+    if still.size:
+        raise ConfigurationError(
+            f"joints {(still + 1).tolist()} of the chain do not move in a recording: nothing can "
+            "be said of their servos; excite all seven"
+        )
+    left = recording.times_s[-1] - recording.motion_begins_s - SETTLE_S
+    if left < 1.0:
+        raise ConfigurationError(
+            f"{left:.1f} s of a recording are left after its motion has begun; 1 s is the least"
+        )

@@ -1,0 +1,107 @@
+"""The unknowns of servo identification as one vector.
+
+Per joint: log(kp / nominal kp), log of kd / kp by its nominal value, and frictionloss / kp in
+nominal units; then, if asked for, log(armature / nominal) per joint; last the delay. Ratios by kp,
+because they are what a tracking error shows: e = (kd / kp) v + (frictionloss / kp) sign v at steady
+speed. Logarithms, because stiffness and damping are positive.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import log
+
+import numpy as np
+
+from skewmi.calibration.servo_model import DelayedServo
+from skewmi.robot_models.servo import ServoParameters
+from skewmi.robot_models.yumi import Array
+
+WIDEST = log(12.0)
+"""Stiffness, damping ratio and armature are sought within this factor of the nominal ones."""
+LARGEST_FRICTION = 6.0
+"""N m: more than the standing torque that any wrist has."""
+LONGEST_DELAY_S = 0.15
+DELAY_UNIT_S = 0.01
+_LEAST_ANGLE = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class ServoUnknowns:
+    """Between vectors and servos.
+
+    Attributes:
+        nominal: Where the search begins and ends if nothing is known; its force limits, and its
+            armature unless `free_armature`, are taken for known.
+        free_armature: Whether the armature is an unknown, too.
+    """
+
+    nominal: ServoParameters
+    free_armature: bool = False
+
+    @property
+    def size(self) -> int:
+        """Numbers of a vector."""
+        return 22 + 7 * self.free_armature
+
+    @property
+    def friction_unit(self) -> Array:
+        """Unit of frictionloss / kp, rad. Shape (7,)."""
+        unit: Array = np.maximum(self.nominal.frictionloss / self.nominal.kp, _LEAST_ANGLE)
+        return unit
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Lowest and highest vector. Each shape (p,)."""
+        wide = np.full(7, WIDEST)
+        friction = LARGEST_FRICTION / (self.nominal.kp / 4.0) / self.friction_unit
+        high = [wide, wide, friction, *([wide] if self.free_armature else [])]
+        low = [-wide, -wide, np.zeros(7), *([-wide] if self.free_armature else [])]
+        return (
+            np.concatenate([*low, [0.0]]),
+            np.concatenate([*high, [LONGEST_DELAY_S / DELAY_UNIT_S]]),
+        )
+
+    def vector(self, servo: DelayedServo) -> Array:
+        """Of a servo, within the bounds. Shape (p,)."""
+        own, nominal = servo.parameters, self.nominal
+        lead, nominal_lead = own.kd / own.kp, nominal.kd / nominal.kp
+        parts = [
+            np.log(own.kp / nominal.kp),
+            np.log(lead / nominal_lead),
+            own.frictionloss / own.kp / self.friction_unit,
+        ]
+        if self.free_armature:
+            parts.append(np.log(own.armature / nominal.armature))
+        return np.clip(np.concatenate([*parts, [servo.delay_s / DELAY_UNIT_S]]), *self.bounds())
+
+    def servo(self, vector: Array) -> DelayedServo:
+        """Of a vector."""
+        kp = self.nominal.kp * np.exp(vector[:7])
+        changes = {
+            "kp": kp,
+            "kd": kp * self.nominal.kd / self.nominal.kp * np.exp(vector[7:14]),
+            "frictionloss": kp * self.friction_unit * vector[14:21],
+        }
+        if self.free_armature:
+            changes["armature"] = self.nominal.armature * np.exp(vector[21:28])
+        parameters = self.nominal.with_changes(**changes)
+        return DelayedServo(parameters, float(vector[-1]) * DELAY_UNIT_S)
+
+    def derivatives(self, vector: Array) -> dict[str, Array]:
+        """What intervals are given of, by the vector: logarithms of what is positive by nature,
+        frictions in N m and rad, the delay in s. Each shape (7, p), the delay's (1, p)."""
+        one = np.eye(self.size)
+        kp, ratio, friction = one[:7], one[7:14], one[14:21]
+        own = self.servo(vector).parameters
+        angle = friction * self.friction_unit[:, None]
+        found = {
+            "kp": kp,
+            "kd": kp + ratio,
+            "kd_over_kp": ratio,
+            "frictionloss": own.frictionloss[:, None] * kp + own.kp[:, None] * angle,
+            "frictionloss_over_kp": angle,
+            "delay": one[-1:] * DELAY_UNIT_S,
+        }
+        if self.free_armature:
+            found["armature"] = one[21:28]
+        return found
