@@ -34,11 +34,14 @@ and it takes a movement until the simulated joint is where the real one is."""
 RESOLUTION = 1e-5
 """Least standard deviation of a residual, rad: no encoder and no integrator is better."""
 SUCH_DELAYS_S = (0.0, 0.012, 0.024, 0.036, 0.048, 0.060, 0.080)
-SUCH_FRICTIONS = (0.2, 1.0)
-"""Starts that are tried, N m."""
+SUCH_FRICTIONS = (0.1, 0.5, 1.0, 2.0)
+SUCH_STIFFNESSES = (0.5, 1.0)
+"""Starts that are tried: delays, N m, and factors on the nominal stiffness and damping."""
 LOOK_S = 10.0
 """Of a recording that a start is judged by, s."""
 STEP = 1e-4
+XTOL = 1e-4
+"""Of the parameters, relative: a tenth of what the best recordings tell."""
 ITERATIONS, ITERATIONS_AGAIN = 40, 8
 NOT_EQUAL = 1.5
 """Ratio of the joints' residuals from which the fit is repeated with weights for it."""
@@ -144,19 +147,37 @@ class ServoIdentifier:
         )
 
     def _first(self) -> Array:
-        """The best of some starts, on the first seconds of the first recording."""
+        """The best start, on the first seconds of the first recording.
+
+        Joints hardly move one another, so that each takes the servo that suits it: the search
+        over all starts of seven joints is one over those of one.
+        """
         nominal = self._unknowns.nominal
         short = self._recordings[0].shortened(LOOK_S)
-        starts = [
-            DelayedServo(nominal.with_changes(frictionloss=np.full(7, friction)), delay)
-            for delay in SUCH_DELAYS_S
+        servos = [
+            nominal.with_changes(
+                kp=factor * nominal.kp,
+                kd=factor * nominal.kd,
+                frictionloss=np.full(7, friction),
+            )
+            for factor in SUCH_STIFFNESSES
             for friction in SUCH_FRICTIONS
         ]
-        error = self._model.positions(starts, short) - short.positions
-        # Of each start the joints' errors by their smallest: a stiff one's count as a soft one's.
-        size = (error**2).mean(axis=1)
-        best = int(np.argmin((size / size.min(axis=0)).sum(axis=1)))
-        return self._unknowns.vector(starts[best])
+        size = np.empty((len(SUCH_DELAYS_S), len(servos), 7))
+        for row, delay in zip(size, SUCH_DELAYS_S, strict=True):
+            late = [DelayedServo(parameters, delay) for parameters in servos]
+            row[:] = ((self._model.positions(late, short) - short.positions) ** 2).mean(axis=1)
+        # Each joint's errors by their smallest: a stiff one's count as much as a soft one's.
+        least = size.min(axis=1)
+        delay = int(np.argmin((least / least.min(axis=0)).sum(axis=1)))
+        own = size[delay].argmin(axis=0)
+        chosen = {
+            name: np.array([getattr(servos[k], name)[joint] for joint, k in enumerate(own)])
+            for name in ("kp", "kd", "frictionloss")
+        }
+        return self._unknowns.vector(
+            DelayedServo(nominal.with_changes(**chosen), SUCH_DELAYS_S[delay])
+        )
 
     def _residual(self, vectors: Array) -> Array:
         """Simulated less measured positions, rad. (p, k) -> (m, 7, k)."""
@@ -175,7 +196,7 @@ class ServoIdentifier:
             bounds=self._unknowns.bounds(),
             eps=STEP,
             max_iter=iterations,
-            xtol=1e-6,
+            xtol=XTOL,
             verbose=minimize.Verbosity.SILENT,
             x_scale="jac",
         )

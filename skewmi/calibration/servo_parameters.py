@@ -17,10 +17,10 @@ from skewmi.calibration.servo_model import DelayedServo
 from skewmi.robot_models.servo import ServoParameters
 from skewmi.robot_models.yumi import Array
 
-WIDEST = log(12.0)
+WIDEST = log(6.0)
 """Stiffness, damping ratio and armature are sought within this factor of the nominal ones."""
-LARGEST_FRICTION = 6.0
-"""N m: more than the standing torque that any wrist has."""
+LARGEST_FRICTION = 10.0
+"""N m at the nominal stiffness: a softer servo's is sought up to less."""
 LONGEST_DELAY_S = 0.15
 DELAY_UNIT_S = 0.01
 _LEAST_ANGLE = 1e-4
@@ -53,7 +53,7 @@ class ServoUnknowns:
     def bounds(self) -> tuple[Array, Array]:
         """Lowest and highest vector. Each shape (p,)."""
         wide = np.full(7, WIDEST)
-        friction = LARGEST_FRICTION / (self.nominal.kp / 4.0) / self.friction_unit
+        friction = LARGEST_FRICTION / self.nominal.kp / self.friction_unit
         high = [wide, wide, friction, *([wide] if self.free_armature else [])]
         low = [-wide, -wide, np.zeros(7), *([-wide] if self.free_armature else [])]
         return (

@@ -1,0 +1,67 @@
+"""From an identification to what a calibration file says of the servos."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skewmi.calibration.calibration_file import Constant, ServoCalibration
+from skewmi.calibration.servo_identification import Estimate, ServoIdentification
+from skewmi.robot_models import yumi
+
+_UNITS = {
+    "kp": "N m/rad",
+    "kd": "N m s/rad",
+    "frictionloss": "N m",
+    "armature": "kg m^2",
+    "kd_over_kp": "s",
+    "frictionloss_over_kp": "rad",
+}
+LONG_MEMORY = 10.0
+"""Autocorrelation time of a residual, in samples, from which the model is said to lack something."""
+
+
+def servo_section(found: ServoIdentification) -> ServoCalibration:
+    """Every constant with its interval; the armature is marked as assumed unless identified."""
+    constants = {name: _constant(found.estimates[name]) for name in _UNITS if name != "armature"}
+    armature = found.estimates.get("armature")
+    if armature is None:
+        values = tuple(found.servo.parameters.armature.tolist())
+        constants["armature"] = Constant(values, values, values, (True,) * 7)
+    else:
+        constants["armature"] = _constant(armature)
+    return ServoCalibration(**constants, delay_ms=_constant(found.estimates["delay"], 1e3))
+
+
+def servo_warnings(found: ServoIdentification) -> tuple[str, ...]:
+    """What whoever uses the constants should know, a sentence each."""
+    names = yumi.joint_names("right")
+    warnings = []
+    for name, unit in _UNITS.items():
+        estimate = found.estimates.get(name)
+        if estimate is None:
+            continue
+        warnings += [
+            f"{name} of {joint} is not identified: {low:.3g} to {high:.3g} {unit}"
+            for joint, known, low, high in zip(
+                names, estimate.identified, estimate.low, estimate.high, strict=True
+            )
+            if not known
+        ]
+    if not found.estimates["delay"].identified[0]:
+        warnings.append("the delay is not identified")
+    for joint, memory, rms in zip(
+        names, found.autocorrelation_time, found.residual_rms, strict=True
+    ):
+        if memory > LONG_MEMORY:
+            warnings.append(
+                f"the residual of {joint} ({rms:.2g} rad) hangs together over {memory:.0f} "
+                "samples: the arm does something that the model lacks; intervals are widened for it"
+            )
+    return tuple(warnings)
+
+
+def _constant(estimate: Estimate, factor: float = 1.0) -> Constant:
+    value, low, high = (
+        tuple((factor * part).tolist()) for part in (estimate.value, estimate.low, estimate.high)
+    )
+    return Constant(value, low, high, (False,) * np.size(estimate.value))
