@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from skewmi.calibration.calibration_file import Constant, ServoCalibration
-from skewmi.calibration.servo_identification import Estimate, ServoIdentification
+from skewmi.calibration.servo_estimates import Estimate
+from skewmi.calibration.servo_identification import ServoIdentification
 from skewmi.robot_models import yumi
 
 _UNITS = {

@@ -1,0 +1,132 @@
+"""Calibrations to write, and a simulated robot to identify."""
+
+from __future__ import annotations
+
+import functools
+import json
+from dataclasses import dataclass
+
+import numpy as np
+
+from skewmi.calibration.calibration_file import (
+    Calibration,
+    Constant,
+    RecordingReference,
+    SceneCalibration,
+    ServoCalibration,
+)
+from skewmi.calibration.servo_recording import ServoRecording
+from skewmi.deploy.robot.backends.mujoco.simulation import ArmSimulation
+from skewmi.robot_models import yumi
+from skewmi.robot_models.kinematics import ArmKinematics
+from skewmi.robot_models.servo import ServoParameters
+from skewmi.trajectory import CYCLE_TICKS, GRID_S, Array, JointTrajectory
+
+ABOVE_THE_TABLE_M = 0.15
+
+
+@functools.cache
+def clear_centre() -> Array:
+    """The start of the table's tasks, the hand lifted until it is clear of what stands there."""
+    kinematics = ArmKinematics("right")
+    start = np.array(yumi.TABLE_CONFIGURATION)
+    position, rotation = kinematics.forward(start)
+    lifted = position + np.array([0.0, 0.0, ABOVE_THE_TABLE_M])
+    return kinematics.inverse(lifted, rotation, start, max_iterations=30).q
+
+
+@dataclass(frozen=True)
+class DrawnRobot:
+    """A robot of the documented ranges: factors on stiffness and damping, friction, delay."""
+
+    kp_scale: Array
+    kd_scale: Array
+    frictionloss: Array
+    """N m."""
+    delay_ms: float
+
+    @staticmethod
+    def draw(rng: np.random.Generator) -> DrawnRobot:
+        """Servos of 0.4 to 1.6, friction of 0 to 2 N m, a delay of 0 to 40 ms in steps of 4 ms,
+        which the simulated robot rounds to."""
+        return DrawnRobot(
+            rng.uniform(0.4, 1.6, 7),
+            rng.uniform(0.4, 1.6, 7),
+            rng.uniform(0.0, 2.0, 7),
+            4.0 * float(rng.integers(0, 11)),
+        )
+
+    def parameters(self, nominal: ServoParameters) -> ServoParameters:
+        """Its servos."""
+        return nominal.with_changes(
+            kp=self.kp_scale * nominal.kp,
+            kd=self.kd_scale * nominal.kd,
+            frictionloss=self.frictionloss,
+        )
+
+    def record(
+        self,
+        motion: JointTrajectory,
+        joint_noise: float,
+        seed: int,
+        *,
+        mass_scale: float = 1.0,
+    ) -> ServoRecording:
+        """What it measures every 20 ms while it follows a motion.
+
+        Args:
+            motion: Commanded.
+            joint_noise: Standard deviation of a reading, rad.
+            seed: Of the noise.
+            mass_scale: Of the arm's masses and inertias: what no servo model knows.
+        """
+        variation = {
+            "seed": seed,
+            "servo": {
+                "kp_scale": self.kp_scale.tolist(),
+                "kd_scale": self.kd_scale.tolist(),
+                "delay_ms": self.delay_ms,
+            },
+            "sensors": {"joint_noise": joint_noise},
+        }
+        simulation = ArmSimulation(None, motion.q[0], json.dumps(variation))
+        model = simulation.scene.model
+        model.dof_frictionloss[simulation.scene.arm_dof] = self.frictionloss
+        if mass_scale != 1.0:
+            for name in yumi.link_names("right"):
+                body = model.body(name).id
+                model.body_mass[body] *= mass_scale
+                model.body_inertia[body] *= mass_scale
+        times, positions = [], []
+        for tick in range(len(motion)):
+            if tick % CYCLE_TICKS == 0:
+                times.append(tick * GRID_S)
+                positions.append(simulation.robot_state(0).position[:7].copy())
+            simulation.command = motion.point(tick)
+            simulation.step()
+        contact = simulation.contact.summary()
+        assert contact["arm_force_peak_n"] == contact["hand_force_peak_n"] == 0.0, contact
+        return ServoRecording(motion, np.array(times), np.array(positions))
+
+
+def full_calibration() -> Calibration:
+    """One with every section and numbers that YAML must not round."""
+    rng = np.random.default_rng(5)
+
+    def constant(size: int) -> Constant:
+        low, value, high = np.sort(rng.uniform(0.1, 3.0, (3, size)), axis=0)
+        flags = tuple(bool(flag) for flag in rng.integers(0, 2, size))
+        return Constant(tuple(value.tolist()), tuple(low.tolist()), tuple(high.tolist()), flags)
+
+    return Calibration(
+        created="2026-01-02T03:04:05Z",
+        version="1.2.3",
+        servo=ServoCalibration(*(constant(7) for _ in range(6)), delay_ms=constant(1)),
+        scene=SceneCalibration(
+            *(constant(1) for _ in range(4)),
+            covariance=((1e-8, 2e-9, 0.0), (2e-9, 3e-8, 1e-7), (0.0, 1e-7, 4e-4)),
+        ),
+        recordings=(RecordingReference("excite: 1.mcap", "0123456789abcdef" * 4),),
+        checks={"residual_rms_rad": 1.0 / 3.0},
+        warnings=("kp of yumi_joint_6_r is not identified: 3 to 400 N m/rad",),
+    )
