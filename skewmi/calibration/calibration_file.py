@@ -157,9 +157,7 @@ def read_calibration(path: str | Path) -> Calibration:
             )
         text = raw.decode("utf-8")
     except FileNotFoundError as error:
-        raise NotFoundError(
-            f"no calibration file {path}; `skewmi calibrate` makes one"
-        ) from error
+        raise NotFoundError(f"no calibration file {path}; `skewmi calibrate` makes one") from error
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"calibration file {path} cannot be read: {error}") from error
     try:

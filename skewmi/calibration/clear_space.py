@@ -35,9 +35,7 @@ class ClearSpace:
         clearance: Smallest distance that counts as clear, m.
     """
 
-    def __init__(
-        self, obstacles: tuple[Obstacle, ...] = (), clearance: float = CLEARANCE
-    ) -> None:
+    def __init__(self, obstacles: tuple[Obstacle, ...] = (), clearance: float = CLEARANCE) -> None:
         if not 0.0 < clearance < 1.0:
             raise ConfigurationError(f"clearance is {clearance} m; it must be within 0..1 m")
         self._clearance = clearance

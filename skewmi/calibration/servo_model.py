@@ -92,8 +92,8 @@ class ServoModel:
         q0, q1 = q[:, index], q[:, index + 1]
         v0, v1 = GRID_S * v[:, index], GRID_S * v[:, index + 1]
         rest = q1 - q0
-        between: Array = (
-            q0 + u * (v0 + u * ((3.0 * rest - 2.0 * v0 - v1) + u * (v0 + v1 - 2.0 * rest)))
+        between: Array = q0 + u * (
+            v0 + u * ((3.0 * rest - 2.0 * v0 - v1) + u * (v0 + v1 - 2.0 * rest))
         )
         return between
 

@@ -18,7 +18,7 @@ _UNITS = {
     "frictionloss_over_kp": "rad",
 }
 LONG_MEMORY = 10.0
-"""Autocorrelation time of a residual, in samples, from which the model is said to lack something."""
+"""Autocorrelation time of a residual, in samples, from which the model seems to lack something."""
 
 
 def servo_section(found: ServoIdentification) -> ServoCalibration:

@@ -22,6 +22,9 @@ from skewmi.robot_models.yumi import Array
 TWO_SIDED_95 = 1.959964
 """Half-width of a 95 % interval in standard deviations."""
 
+UNTOLD = 1e12
+"""Variance of a parameter that nothing is known of (finite, so that sums of it are)."""
+
 
 @dataclass(frozen=True, eq=False)
 class FitCovariance:
@@ -60,11 +63,13 @@ def fit_covariance(
         lags: Samples over which residuals may hang together.
 
     Returns:
-        Infinite on the diagonal where the motion does not tell a parameter at all.
+        `UNTOLD` on the diagonal where the motion does not tell a parameter at all.
     """
     parameters = jacobian.shape[-1]
     by_joint = np.einsum("tdp,tdq->dpq", jacobian, jacobian)
-    inverse = _inverse(np.einsum("d,dpq->pq", weight**2, by_joint))
+    information = np.einsum("d,dpq->pq", weight**2, by_joint)
+    inverse = _inverse(information)
+    untold = np.diag(UNTOLD * (np.diag(information) <= 0.0))
     time = np.array([autocorrelation_time(column) for column in residual.T])
     spread = np.einsum("d,dpq->pq", weight**4 * sigma**2 * time, by_joint)
     scores = np.einsum("d,td,tdp->tp", weight**2, residual, jacobian)
@@ -75,7 +80,7 @@ def fit_covariance(
         meat += (1.0 - lag / (lags + 1.0)) * (part + part.T)
     # A fit of p parameters makes its own residuals smaller than the errors are.
     meat *= residual.size / max(residual.size - parameters, 1)
-    return FitCovariance(inverse @ spread @ inverse, inverse @ meat @ inverse)
+    return FitCovariance(inverse @ spread @ inverse + untold, inverse @ meat @ inverse + untold)
 
 
 def autocorrelation_time(series: Array) -> float:
@@ -98,11 +103,10 @@ def autocorrelation_time(series: Array) -> float:
 
 
 def _inverse(matrix: Array) -> Array:
-    """Inverse of a symmetric matrix whose rows may be of very different size, or zero."""
+    """Inverse of a symmetric matrix of rows of very different size; zero where they are."""
     size = np.sqrt(np.diag(matrix))
     told = size > 0.0
     inverse = np.zeros_like(matrix)
-    inverse[~told, ~told] = np.inf
     scaled = matrix[np.ix_(told, told)] / np.outer(size[told], size[told])
     inverse[np.ix_(told, told)] = np.linalg.pinv(scaled, rcond=1e-12, hermitian=True) / np.outer(
         size[told], size[told]

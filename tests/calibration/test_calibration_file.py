@@ -24,7 +24,6 @@ from skewmi.calibration.calibration_file import (
 from skewmi.errors import ConfigurationError, NotFoundError, OutputError
 from skewmi.robot_models import yumi
 
-
 CONTENT = dict(full_calibration().as_mapping())
 
 
