@@ -29,6 +29,17 @@ FORBIDDEN: dict[str, tuple[str, ...]] = {
         "skewmi.train",
         "skewmi.deploy",
     ),
+    "skewmi.calibration": (
+        "torch",
+        "scipy",
+        "pinocchio",
+        "zenoh",
+        "skewmi.policy_io",
+        "skewmi.sim",
+        "skewmi.train",
+        "skewmi.deploy",
+    ),
+    "skewmi.calibration.calibration_file": ("mujoco", "skewmi.robot_models.mjcf"),
     "skewmi.sim.arm": ("gymnasium", "skewmi.sim.tasks"),
     "skewmi.sim": ("torch", "zenoh", "skewmi.train", "skewmi.export", "skewmi.deploy"),
     "skewmi.train": (
