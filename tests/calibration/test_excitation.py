@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from calibrations import clear_centre
 
-from skewmi.calibration.clear_space import ClearSpace, Obstacle
+from skewmi.calibration.clear_space import CLEARANCE, ClearSpace, Obstacle
 from skewmi.calibration.excitation import REST_S, Excitation
 from skewmi.deploy.safety import limits as checks
 from skewmi.deploy.safety.guard import Guard
@@ -65,10 +65,8 @@ def test_it_is_what_its_seed_says_and_other_joints_do_not_change_a_joint() -> No
 def test_it_shrinks_before_an_obstacle_and_keeps_clear_of_it() -> None:
     profile = limits.profile("lab")
     free = Excitation(5.0, 0).motion(clear_centre(), profile, SPACE)
-    flange = KINEMATICS.forward(free.q)[0]
-    lowest = float(flange[:, 2].min())
-    # Below the finger tips, as near as half of the free motion comes.
-    top = lowest - 0.136 + 0.3 * (float(flange[0, 2]) - lowest)
+    # Below the finger tips, 8 mm further off at the centre than the arm keeps clear of it.
+    top = float(KINEMATICS.forward(free.q[0])[0][2]) - 0.136 - CLEARANCE - 0.008
     box = Obstacle((0.39, -0.13, top / 2.0), (0.1, 0.1, top / 2.0))
     space = ClearSpace((box,))
     assert space.first_touch(free.q[::5]) is not None
