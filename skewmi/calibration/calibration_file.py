@@ -83,8 +83,8 @@ class Calibration:
             )
         for name, value in (("created", self.created), ("version", self.version)):
             text_of(value, name)
-        for name, value in self.checks.items():
-            number_of(value, f"checks.{name}")
+        for name, figure in self.checks.items():
+            number_of(figure, f"checks.{name}")
         for number, warning in enumerate(self.warnings):
             text_of(warning, f"warnings[{number}]")
 

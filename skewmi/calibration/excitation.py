@@ -208,4 +208,5 @@ def _slowed(shapes: Array, scale: Array, centre: Array, tcp_speed: float) -> Arr
             low = middle
         else:
             high = middle
-    return scale * np.minimum(1.0, low / share)
+    slowed: Array = scale * np.minimum(1.0, low / share)
+    return slowed

@@ -72,7 +72,9 @@ class ServoUnknowns:
         ]
         if self.free_armature:
             parts.append(np.log(own.armature / nominal.armature))
-        return np.clip(np.concatenate([*parts, [servo.delay_s / DELAY_UNIT_S]]), *self.bounds())
+        low, high = self.bounds()
+        within: Array = np.clip(np.concatenate([*parts, [servo.delay_s / DELAY_UNIT_S]]), low, high)
+        return within
 
     def servo(self, vector: Array) -> DelayedServo:
         """Of a vector."""
