@@ -126,7 +126,8 @@ def _fields(key: str, value: float, m: mujoco.MjModel) -> list[tuple[str, object
         ],
         "servo.kd_scale": [("actuator_biasprm", (_ARM, 2), value * m.actuator_biasprm[:7, 2])],
         "servo.frictionloss_scale": [("dof_frictionloss", _ARM, value * m.dof_frictionloss[:7])],
-        "servo.frictionloss": [("dof_frictionloss", _ARM, value)],
+        "servo.frictionloss": [("dof_frictionloss", _ARM, value), *_DRY],
+        "servo.stiction_scale": _DRY,
         "arm.mass_scale": [
             ("body_mass", arm, value * m.body_mass[arm]),
             ("body_inertia", arm, value * m.body_inertia[arm]),
@@ -158,8 +159,13 @@ _MODEL_KEYS = [key for key, spec in KEYS.items() if spec.apply is not None]
 _WRITTEN = {
     "actuator_gainprm", "actuator_biasprm", "dof_frictionloss", "dof_armature", "dof_damping",
     "body_mass", "body_inertia", "body_gravcomp", "body_pos", "body_quat", "jnt_range",
-    "geom_friction",
+    "geom_friction", "dof_solref", "dof_solimp",
 }  # fmt: skip
+_DRY = [
+    ("dof_solref", _ARM, [0.008, 1.0]),
+    ("dof_solimp", _ARM, [0.9999, 0.9999, 0.001, 0.5, 2.0]),
+]
+"""Friction that holds a joint at rest instead of letting it creep."""
 
 
 @pytest.mark.parametrize("key", _MODEL_KEYS)
