@@ -79,6 +79,11 @@ class RobotController:
         """Whether the plan has been followed to its end."""
         return self.arm_motion.at_rest
 
+    @property
+    def workspaces(self) -> tuple[str, ...]:
+        """Names of those that can be granted at arming."""
+        return self._validator.workspaces
+
     def may_advance(self) -> bool:
         """Whether a robot in lock-step has anything to do in its next cycles."""
         if self.state in ACCEPTS_COMMANDS:
@@ -164,7 +169,7 @@ class RobotController:
 
     def _accept(self, chunk: TrajectoryChunk, gid: bytes, sequence: int, now_ns: int) -> None:
         plan, clock_ns = self.arm_motion.plan, self.clock_ns
-        self._validator.check(chunk, plan, clock_ns)
+        self._validator.check(chunk, plan, clock_ns, self.lease.workspace)
         if chunk.stamp_ns <= self.newest_ns:
             raise CommandRefusedError(
                 f"stamp {chunk.stamp_ns} ns is not after the last accepted one, {self.newest_ns} ns"

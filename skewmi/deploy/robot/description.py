@@ -62,6 +62,12 @@ class RobotDescription:
     """Global ids of those whose states and status are to be believed, by topic, hexadecimal: the
     robot server's own, and whoever publishes the scene's states for it."""
 
+    workspaces: Mapping[str, Mapping[str, tuple[float, ...]]] = field(default_factory=dict)
+    """Boxes of the flange by name, m, robot base frame: `low` and `high` of the task's, and of
+    those that can be asked for at arming as `safety.flange_space.FlangeSpace.numbers`."""
+    workspace: str = "task"
+    """The one that holds now."""
+
     @property
     def scene_fields(self) -> dict[str, str]:
         """Observation field of each joint that the scene states tell; only with the scene.
@@ -96,6 +102,11 @@ class RobotDescription:
             content["limits"] = {k: tuple(v) for k, v in content["limits"].items()}
             publishers = content.get("publishers", {})
             content["publishers"] = {k: tuple(map(str, v)) for k, v in publishers.items()}
+            workspaces = content.get("workspaces", {})
+            content["workspaces"] = {
+                name: {k: tuple(map(float, v)) for k, v in numbers.items()}
+                for name, numbers in workspaces.items()
+            }
             known = {field.name for field in fields(RobotDescription)}
             return RobotDescription(**{k: v for k, v in content.items() if k in known})
         except (KeyError, TypeError, ValueError, AttributeError) as error:

@@ -139,6 +139,7 @@ class StatePublisher:
             slips=self._backend.slips,
             told=self._told_by_robot(transition is not None),
             dropped=self.dropped(),
+            workspace=controller.lease.workspace,
             source=None if transition is None else transition.source,
             event=None if transition is None else ServerEvent(transition.event),
         )

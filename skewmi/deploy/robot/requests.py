@@ -6,7 +6,10 @@ from skewmi.deploy.robot.backend import RobotBackend
 from skewmi.deploy.robot.controller import RobotController
 from skewmi.deploy.robot.refusals import printable
 from skewmi.deploy.robot.states import ACCEPTS_COMMANDS, ServerEvent, ServerState
+from skewmi.deploy.robot.workspaces import check_scene_is_shut
+from skewmi.deploy.safety.flange_space import TASK
 from skewmi.deploy.safety.validation import MAX_GRIPPER_BYTES, check_fresh, check_size
+from skewmi.deploy.wire.arm_request import ArmRequest
 from skewmi.deploy.wire.messages import JointStates
 from skewmi.errors import CommandRefusedError
 from skewmi.robot_models import yumi
@@ -27,46 +30,47 @@ class RobotRequests:
         """How often somebody asked to stop, in whatever state: a commander that was between two
         episodes must not take the arm again as if nothing had been said."""
 
-    def arm(self, gids: bytes, now_ns: int) -> None:
+    def arm(self, extra: bytes, now_ns: int) -> None:
         """Accept chunks from now on.
 
         Args:
-            gids: Of the publishers of chunks and of gripper commands that become the commander,
-                16 bytes each; empty for the first that sends.
+            extra: An `ArmRequest`: who becomes the commander, and in which workspace.
             now_ns: Any monotonic clock, for the lease.
 
         Raises:
-            CommandRefusedError: Somebody else commands, the state does not allow it, or the robot
-                is not ready.
+            CommandRefusedError: Somebody else commands, the state does not allow it, the robot
+                is not ready, or the workspace cannot be granted.
         """
         controller, lease = self._controller, self._controller.lease
-        if len(gids) not in (0, 16, 32):
-            raise CommandRefusedError(
-                f"arming names one or two publishers of 16 bytes each, or none; got {len(gids)} "
-                "bytes"
-            )
+        request = ArmRequest.decode(extra)
         controller.check_lease(now_ns)
         if controller.state in (ServerState.STOPPING, ServerState.FAULT):
             raise CommandRefusedError(
                 f"the robot server is {controller.state.value} ({controller.machine.reason}); "
                 "stop it first (skewmi stop acknowledges a fault)"
             )
-        gid, gripper = gids[:16], gids[16:32]
+        gid, gripper, workspace = request.gid, request.gripper, request.workspace or TASK
         if controller.state in ACCEPTS_COMMANDS and gid and gid == lease.holder:
+            self._check_workspace(workspace)
             controller.refusals.begin()
+            lease.workspace = workspace
             lease.gripper_holder = gripper or lease.gripper_holder
             lease.extend(now_ns)
             return
         missing = controller.not_ready()
         if missing is not None:
             raise CommandRefusedError(f"the robot is not ready: {missing}")
+        lease.check_free(now_ns)
+        self._check_workspace(workspace)
         lease.open(now_ns)
         if controller.state is ServerState.DISARMED:
             self._activate()
         controller.refusals.begin()
         lease.holder, lease.gripper_holder = gid or None, gripper or None
+        lease.workspace = workspace
         # The arm may have sagged or been pushed while disarmed: hold where it is commanded.
-        controller.fire(ServerEvent.ARM, f"armed by {gid.hex()[:8] or 'a service call'}")
+        where = "" if workspace == TASK else f" in the {workspace} workspace"
+        controller.fire(ServerEvent.ARM, f"armed by {gid.hex()[:8] or 'a service call'}{where}")
 
     def stop(self, who: str) -> None:
         """Brake along the accepted plan's tail, then disarm; at rest, acknowledge a fault.
@@ -106,7 +110,7 @@ class RobotRequests:
         At rest or stopping already, and in fault, nothing changes.
 
         Args:
-            gids: As in `arm`.
+            gids: Of its publishers, 16 bytes each, that of chunks first.
 
         Raises:
             CommandRefusedError: Somebody else commands.
@@ -121,6 +125,25 @@ class RobotRequests:
                 "arm (skewmi stop)"
             )
         self._controller.end(ServerEvent.DISARM, f"disarmed by its commander {gid.hex()[:8]}")
+
+    def _check_workspace(self, name: str) -> None:
+        """Whether a workspace can be granted now.
+
+        Raises:
+            CommandRefusedError: There is none of that name, the arm moves, or the scene is open.
+        """
+        controller, scene = self._controller, self._backend.scene
+        if name not in controller.workspaces:
+            raise CommandRefusedError(
+                f"no workspace {printable(name)!r} before this robot's scene; there are: "
+                f"{', '.join(controller.workspaces)}"
+            )
+        if name == controller.lease.workspace:
+            return
+        if not controller.at_rest:
+            raise CommandRefusedError("the arm is moving; another workspace is granted at rest")
+        if name != TASK and scene is not None:
+            check_scene_is_shut(scene)
 
     def _activate(self) -> None:
         try:

@@ -11,7 +11,8 @@ from skewmi.deploy.robot.backends import BackendOptions, make_backend
 from skewmi.deploy.robot.controller import LEASE_NS, RobotController
 from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.robot.server import RobotServer
-from skewmi.deploy.safety.checks import limit_check
+from skewmi.deploy.robot.workspaces import spaces_of
+from skewmi.deploy.safety.checks import limit_check, space_checks
 from skewmi.deploy.safety.validation import ChunkValidator, ValidationRules
 from skewmi.deploy.wire.transport import Link, TransportConfig
 from skewmi.robot_models.limits import JointLimits
@@ -50,13 +51,18 @@ def serve_robot(
     with Link.open(config, NODE_NAME) as link:
         backend = make_backend(name, replace(options, link=link))
         workspace = None if backend.scene is None else backend.scene.workspace
+        spaces = spaces_of(backend.scene)
         rules = ValidationRules(joint_names=backend.joint_names, grid_ns=GRID_NS)
         controller = RobotController(
             backend,
-            ChunkValidator(rules, limit_check(limits, workspace, backend.admitted_speed)),
+            ChunkValidator(
+                rules,
+                limit_check(limits, workspace, backend.admitted_speed),
+                space_checks(limits, spaces, backend.admitted_speed),
+            ),
             lease_ns=LOCK_STEP_LEASE_NS if backend.lock_step else LEASE_NS,
             start_ns=fresh_start_ns(),
         )
-        server = RobotServer(backend, controller, link, limits)
+        server = RobotServer(backend, controller, link, limits, spaces)
         server.open_stop_path(config)
         server.run(stop, on_ready)

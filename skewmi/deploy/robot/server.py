@@ -10,7 +10,7 @@ import gc
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 
 from skewmi.deploy.realtime import hot_loop
@@ -32,6 +32,8 @@ from skewmi.deploy.robot.publisher import StatePublisher
 from skewmi.deploy.robot.refusals import printable
 from skewmi.deploy.robot.requests import RobotRequests
 from skewmi.deploy.robot.states import ServerState
+from skewmi.deploy.robot.workspaces import workspaces_told
+from skewmi.deploy.safety.flange_space import FlangeSpace
 from skewmi.deploy.safety.limits import TCP_SPEED_LIMIT
 from skewmi.deploy.state_machine import Transition
 from skewmi.deploy.wire import topics
@@ -60,6 +62,7 @@ class RobotServer:
         controller: Of that robot; its `on_transition` is set to this server's.
         link: An open one, listening.
         limits: That are enforced, for the description.
+        spaces: Workspaces besides the task's, likewise.
     """
 
     def __init__(
@@ -68,10 +71,12 @@ class RobotServer:
         controller: RobotController,
         link: Link,
         limits: JointLimits,
+        spaces: Mapping[str, FlangeSpace] | None = None,
     ) -> None:
         self._backend = backend
         self._controller = controller
         self._limits = limits
+        self._spaces = spaces or {}
         self._requests = RobotRequests(backend, controller)
         self._publisher = StatePublisher(backend, controller, link)
         controller.machine.on_transition = self._on_transition
@@ -211,6 +216,8 @@ class RobotServer:
             contact={} if scene is None else scene.contact(),
             scene=scene.shapes_json if with_scene and scene is not None else "",
             publishers=self._publisher.publishers(),
+            workspaces=workspaces_told(scene, self._spaces),
+            workspace=controller.lease.workspace,
         )
 
     def _describe(self, request: Request) -> TriggerReply:

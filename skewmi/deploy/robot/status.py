@@ -31,6 +31,7 @@ _COMMON = frozenset(
         *("state", "reason", "accepted", "refused", "refusal", "refused_stamps_ns"),
         *("out_of_step", "refused_of_commander", "commander", "slips", "from", "event"),
         *("broken_of_commander", "last_refusal", "dropped", COMMANDER_REFUSED_STAMPS),
+        "workspace",
     }
 )
 """Keys that every robot server tells."""
@@ -78,6 +79,8 @@ class RobotStatus:
     dropped: int = 0
     """Commands that were not looked at, since it started: more came than there was time for, or
     they did not tell who sent them."""
+    workspace: str = "task"
+    """Name of the one that the commander was granted."""
     source: ServerState | None = None
     """The state before, if a change of state is told."""
     event: ServerEvent | None = None
@@ -105,6 +108,7 @@ class RobotStatus:
             "broken_of_commander": str(self.broken_of_commander),
             "last_refusal": self.last_refusal,
             "dropped": str(self.dropped),
+            "workspace": self.workspace,
             COMMANDER_REFUSED_STAMPS: " ".join(map(str, self.commander_refused_stamps_ns)),
         }
         values = {**self.told, **values}
@@ -141,6 +145,7 @@ class RobotStatus:
                 broken_of_commander=int(values.get("broken_of_commander", 0)),
                 last_refusal=values.get("last_refusal", ""),
                 dropped=int(values.get("dropped", 0)),
+                workspace=values.get("workspace", "task"),
                 commander_refused_stamps_ns=refused_stamps(status),
                 source=ServerState(values["from"]) if "from" in values else None,
                 event=ServerEvent(values["event"]) if "event" in values else None,

@@ -5,10 +5,11 @@ Both use the limits' code; nothing else of the two is shared.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from skewmi.deploy.safety.flange_space import FlangeSpace, SpaceCheck
 from skewmi.deploy.safety.guard import Guard
 from skewmi.deploy.safety.limits import (
     TCP_SPEED_LIMIT,
@@ -106,6 +107,25 @@ def limit_check(
         return checker.check(samples.q, samples.v, samples.a, previous=present, earlier=earlier)
 
     return check
+
+
+def space_checks(
+    limits: JointLimits,
+    spaces: Mapping[str, FlangeSpace],
+    admitted_speed: float = TCP_SPEED_LIMIT,
+) -> dict[str, LimitCheck]:
+    """What the robot server enforces in workspaces other than the task's, by name.
+
+    Args:
+        limits: Of the joints.
+        spaces: By name.
+        admitted_speed: As in `limit_check`.
+    """
+    forward = ArmKinematics("right").forward
+    return {
+        name: SpaceCheck(limits, space, forward, admitted_speed=admitted_speed)
+        for name, space in spaces.items()
+    }
 
 
 class _SharedForward:

@@ -1,7 +1,8 @@
-"""One commander at a time."""
+"""One commander at a time, in one workspace."""
 
 from __future__ import annotations
 
+from skewmi.deploy.safety.flange_space import TASK
 from skewmi.errors import CommandRefusedError
 
 
@@ -25,6 +26,8 @@ class CommanderLease:
         """The commander's publisher of gripper commands; None before it is known."""
         self.gripper_sequence = 0
         """Sequence number of its last accepted message."""
+        self.workspace = TASK
+        """Name of the workspace that was granted; the task's again once nobody commands."""
         self._renewed_ns: int | None = None
 
     def open(self, now_ns: int) -> None:
@@ -33,18 +36,27 @@ class CommanderLease:
         Raises:
             CommandRefusedError: There is a commander and it is not silent.
         """
+        self.check_free(now_ns)
+        self.close()
+        self._renewed_ns = now_ns
+
+    def check_free(self, now_ns: int) -> None:
+        """Whether somebody new may open it.
+
+        Raises:
+            CommandRefusedError: As in `open`.
+        """
         if self.holder is not None and not self.expired(now_ns):
             raise CommandRefusedError(
                 f"commander {self.holder.hex()[:8]} holds the arm; stop it first (skewmi stop)"
             )
-        self.close()
-        self._renewed_ns = now_ns
 
     def close(self) -> None:
         """Nobody commands."""
         self.holder = None
         self.gripper_holder = None
         self.sequence = self.gripper_sequence = 0
+        self.workspace = TASK
         self._renewed_ns = None
 
     def expired(self, now_ns: int) -> bool:

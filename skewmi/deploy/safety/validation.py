@@ -6,12 +6,13 @@ it was, and the plan it has ends at rest. Every function here is pure.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
+from skewmi.deploy.safety.flange_space import TASK
 from skewmi.deploy.safety.limits import SPLICE_TOLERANCE
 from skewmi.errors import CommandRefusedError, LimitViolationError
 from skewmi.trajectory import Array, JointPoint, JointTrajectory, TrajectoryChunk
@@ -72,19 +73,31 @@ class ChunkValidator:
         rules: Names, grid and tolerances.
         check_limits: Independent check of position, velocity, acceleration, jerk, hand speed
             and workspace on the grid (`deploy.limits`).
+        others: The same for workspaces other than the task's, by name.
     """
 
-    def __init__(self, rules: ValidationRules, check_limits: LimitCheck) -> None:
+    def __init__(
+        self,
+        rules: ValidationRules,
+        check_limits: LimitCheck,
+        others: Mapping[str, LimitCheck] | None = None,
+    ) -> None:
         self.rules = rules
-        self._check_limits = check_limits
+        self._checks = {TASK: check_limits, **(others or {})}
 
-    def check(self, chunk: TrajectoryChunk, plan: Plan, now_ns: int) -> None:
+    @property
+    def workspaces(self) -> tuple[str, ...]:
+        """Names of those that can be granted."""
+        return tuple(self._checks)
+
+    def check(self, chunk: TrajectoryChunk, plan: Plan, now_ns: int, workspace: str = TASK) -> None:
         """Judge a chunk.
 
         Args:
             chunk: As decoded from the wire.
             plan: What the robot server would do without it.
             now_ns: The robot server's clock: when the next sample is due.
+            workspace: That the commander was granted.
 
         Raises:
             CommandRefusedError: Names the rule that was broken, with the numbers.
@@ -95,7 +108,7 @@ class ChunkValidator:
         check_splice(chunk, present, self.rules)
         check_rest(chunk, self.rules)
         try:
-            self._check_limits(chunk.trajectory, present, plan.before(chunk.stamp_ns))
+            self._checks[workspace](chunk.trajectory, present, plan.before(chunk.stamp_ns))
         except LimitViolationError as error:
             raise CommandRefusedError(str(error)) from error
 

@@ -10,11 +10,13 @@ import numpy as np
 from skewmi.deploy.robot.description import SCENE_REQUEST, RobotDescription
 from skewmi.deploy.robot.states import ServerState
 from skewmi.deploy.robot.status import RobotStatus
+from skewmi.deploy.safety.flange_space import TASK
 from skewmi.deploy.session.arm_delay import ArmDelay
 from skewmi.deploy.session.interrupt import StopRequestedError
 from skewmi.deploy.session.refused import LateChunkError, RefusedCommands
 from skewmi.deploy.session.trust import Trust
 from skewmi.deploy.wire import topics
+from skewmi.deploy.wire.arm_request import ArmRequest
 from skewmi.deploy.wire.messages import (
     JointStates,
     TriggerReply,
@@ -100,14 +102,21 @@ class RobotClient:
         if not self._dry_run:
             self._call(topics.YUMI_SCENE_RESET, str(seed).encode())
 
-    def arm(self) -> None:
-        """Become the commander.
+    def arm(self, workspace: str = TASK) -> None:
+        """Become the commander, or, armed already and at rest, change the workspace.
+
+        Args:
+            workspace: Where the hand may be, until it is disarmed or armed anew: one of those
+                that the robot server's description names.
 
         Raises:
-            CommandRefusedError: Somebody else is, or the robot server is in fault.
+            CommandRefusedError: Somebody else is, the robot server is in fault, or it does not
+                grant the workspace.
         """
         if not self._dry_run:
-            self._call(topics.YUMI_ARM, self._gids)
+            name = "" if workspace == TASK else workspace
+            request = ArmRequest(self._commands.gid, self._gripper.gid, name)
+            self._call(topics.YUMI_ARM, request.encode())
             self._armed = True
         self._refused, self._heard = RefusedCommands(self._commands.gid), False
         self._news()

@@ -46,6 +46,7 @@ def test_what_is_encoded_is_decoded(state, counts, texts, stamps, late, commande
         broken_of_commander=broken,
         last_refusal=texts[2],
         dropped=dropped,
+        workspace=texts[2],
         source=change[0],
         event=change[1],
     )
@@ -77,6 +78,7 @@ def test_keys_and_level_on_the_wire_are_what_others_read() -> None:
         "last_refusal": "",
         "dropped": "0",
         "commander_refused_stamps_ns": "5 9",
+        "workspace": "task",
     }
     told = RobotStatus(
         7, ServerState.FAULT, "", source=ServerState.HOLDING, event=ServerEvent.FAULT
