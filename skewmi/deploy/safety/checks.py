@@ -22,6 +22,7 @@ from skewmi.deploy.safety.validation import LimitCheck
 from skewmi.policy_io import Workspace
 from skewmi.robot_models.kinematics import ArmKinematics
 from skewmi.robot_models.limits import JointLimits
+from skewmi.robot_models.obstacle import Obstacle
 from skewmi.trajectory import Array, JointPoint, JointTrajectory
 
 Check = Callable[[JointTrajectory, JointPoint, Array], LimitUsage | None]
@@ -69,6 +70,47 @@ class ChunkChecks:
     def _guard(self, samples: JointTrajectory, previous: JointPoint, earlier: Array) -> None:
         del previous, earlier
         self._checkers[self.boxed][1].check(samples.q, samples.v, samples.a)
+
+
+class SpaceChecks:
+    """Limit checker and guard of a workspace other than the task's, as `ChunkChecks` has them.
+
+    Stricter than the robot server, which tolerates 5 mm, and looks at no distances.
+
+    Args:
+        limits: Of the joints.
+        space: Where the hand may be.
+        obstacles: That the arm stays clear of.
+        admitted_speed: Of the flange, m/s, if the robot asks for less than everybody keeps to.
+    """
+
+    def __init__(
+        self,
+        limits: JointLimits,
+        space: FlangeSpace,
+        obstacles: Sequence[Obstacle] = (),
+        admitted_speed: float = TCP_SPEED_LIMIT,
+    ) -> None:
+        self.limits = limits
+        self.space = space
+        self.obstacles = tuple(obstacles)
+        self.guard = Guard(limits, None, obstacles=self.obstacles)
+        self._check = SpaceCheck(
+            limits,
+            space,
+            ArmKinematics("right").forward,
+            admitted_speed=admitted_speed,
+            tolerance=0.0,
+        )
+
+    @property
+    def stages(self) -> Sequence[tuple[str, Check]]:
+        """Both checks with the names of their stages."""
+        return (("check", self._check), ("guard", self._guard))
+
+    def _guard(self, samples: JointTrajectory, previous: JointPoint, earlier: Array) -> None:
+        del previous, earlier
+        self.guard.check(samples.q, samples.v, samples.a)
 
 
 def limit_check(

@@ -1,4 +1,4 @@
-"""How far the arm is from itself, the robot and the table, at every sample of a chunk.
+"""How far the arm is from itself, the robot, the table and obstacles, at every sample of a chunk.
 
 Distances are dear (hundreds of pairs of shapes), so they are computed only when they may matter. A
 joint i that turns by d moves no point of link p by more than r_ip d, r_ip being the largest
@@ -10,6 +10,7 @@ Otherwise the pairs for which this fails are measured at the sample itself.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import coal
@@ -18,6 +19,8 @@ import pinocchio
 from numpy.typing import NDArray
 
 from skewmi.errors import LimitViolationError
+from skewmi.robot_models.frames import rotation_about
+from skewmi.robot_models.obstacle import Obstacle
 from skewmi.trajectory import Array
 
 TABLE_THICKNESS = 0.2
@@ -32,14 +35,22 @@ class ClearanceCheck:
         shapes: Of the whole robot, on that model; the table is added.
         torso: Names of the shapes that the first link turns in.
         clearance: Smallest distance that is allowed, m.
+        obstacles: What else stands there.
     """
 
     def __init__(
-        self, model: Any, data: Any, shapes: Any, torso: set[str], clearance: float
+        self,
+        model: Any,
+        data: Any,
+        shapes: Any,
+        torso: set[str],
+        clearance: float,
+        obstacles: Iterable[Obstacle] = (),
     ) -> None:
         self._model, self._data, self._shapes = model, data, shapes
         self._clearance = clearance
         self._add_table()
+        self._add_obstacles(obstacles)
         self._add_pairs(torso)
         self._shape_data = pinocchio.GeometryData(self._shapes)
         self._measure_at(np.zeros(model.nq))
@@ -138,10 +149,20 @@ class ClearanceCheck:
             pinocchio.SE3(np.eye(3), np.array([0.0, 0.0, -TABLE_THICKNESS / 2.0])),
             coal.Box(4.0, 4.0, TABLE_THICKNESS),
         )
-        self._table = self._shapes.addGeometryObject(table)
+        self._shapes.addGeometryObject(table)
+
+    def _add_obstacles(self, obstacles: Iterable[Obstacle]) -> None:
+        for number, box in enumerate(obstacles):
+            shape = pinocchio.GeometryObject(
+                box.name or f"obstacle {number}",
+                0,
+                pinocchio.SE3(rotation_about(2, box.yaw), np.array(box.centre)),
+                coal.Box(*(2.0 * half for half in box.half_size)),
+            )
+            self._shapes.addGeometryObject(shape)
 
     def _add_pairs(self, torso: set[str]) -> None:
-        """Right arm against the left one, torso and table, and against itself.
+        """Right arm against the left one, torso, table and obstacles, and against itself.
 
         Left out is what touches by construction: links one and two joints apart, and the first
         link, which turns in the torso.

@@ -1,11 +1,12 @@
 """A second opinion on every chunk: Pinocchio on the URDF, independent of mink's MuJoCo model.
 
 Checked are the hand's position and tilt, torque (inverse dynamics) and mobility at a few samples,
-and the distances of the arm to the robot itself and to the table at all of them.
+and the distances of the arm to the robot itself, the table and obstacles at all of them.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,11 +18,12 @@ from skewmi.errors import LimitViolationError
 from skewmi.policy_io import Workspace
 from skewmi.robot_models import urdf, yumi
 from skewmi.robot_models.limits import JointLimits
+from skewmi.robot_models.obstacle import Obstacle
 from skewmi.trajectory import CYCLE_TICKS, Array
 
 CLEARANCE = 0.005
-"""Smallest distance to the robot itself and the table, m; at home the modelled torso and elbow
-are 8 mm apart."""
+"""Smallest distance to the robot itself, table and obstacles, m; at home the modelled torso and
+elbow are 8 mm apart."""
 
 SINGULAR_VALUE = 0.02
 """Smallest singular value of the Jacobian (metres, and radians times `LEVER`) at which the arm
@@ -46,7 +48,7 @@ class GuardReport:
     """What a chunk comes to at worst."""
 
     clearance: float
-    """To the robot itself and the table, m."""
+    """To the robot itself, the table and obstacles, m."""
     torque: float
     """Fraction of the limit."""
     singular_value: float
@@ -65,6 +67,7 @@ class Guard:
         workspace: Box and orientation of the hand, or None for motion outside of it.
         payload: Mass in the hand besides the gripper, kg, at the finger tips.
         clearance: m.
+        obstacles: What stands before the robot, besides the table.
     """
 
     def __init__(
@@ -74,6 +77,7 @@ class Guard:
         *,
         payload: float = 0.0,
         clearance: float = CLEARANCE,
+        obstacles: Iterable[Obstacle] = (),
     ) -> None:
         self._torque = limits.torque
         self._workspace: tuple[Array, Array, Array] | None = None
@@ -88,7 +92,9 @@ class Guard:
         self._model, shapes, torso = _build_arm(opening, payload)
         self._data = self._model.createData()
         self._tool = self._model.getFrameId(yumi.tool_name("right"))
-        self.clearance = ClearanceCheck(self._model, self._data, shapes, torso, clearance)
+        self.clearance = ClearanceCheck(
+            self._model, self._data, shapes, torso, clearance, obstacles
+        )
         self._weights = np.array([1.0, 1.0, 1.0, LEVER, LEVER, LEVER])[:, None]
 
     def check(self, q: Array, v: Array, a: Array, new_samples: int = CYCLE_TICKS) -> GuardReport:
