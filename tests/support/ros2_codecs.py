@@ -1,4 +1,5 @@
-"""CDR by others: rosbags with its own ROS 2 Jazzy definitions, mcap_ros2 with those written here.
+"""CDR by others: rosbags with its own ROS 2 Jazzy definitions where it has them, mcap_ros2 with
+those written here.
 
 The two share no code. Nothing of skewmi is imported.
 """
@@ -11,7 +12,7 @@ from typing import Any
 
 from mcap_ros2._dynamic import generate_dynamic, serialize_dynamic
 from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 DEFINITIONS = {
     "builtin_interfaces/msg/Time": "int32 sec\nuint32 nanosec",
@@ -27,6 +28,29 @@ DEFINITIONS = {
     "trajectory_msgs/msg/JointTrajectoryPoint": (
         "float64[] positions\nfloat64[] velocities\nfloat64[] accelerations\nfloat64[] effort\n"
         "builtin_interfaces/Duration time_from_start"
+    ),
+    "trajectory_msgs/msg/MultiDOFJointTrajectoryPoint": (
+        "geometry_msgs/Transform[] transforms\ngeometry_msgs/Twist[] velocities\n"
+        "geometry_msgs/Twist[] accelerations\nbuiltin_interfaces/Duration time_from_start"
+    ),
+    "geometry_msgs/msg/Vector3": "float64 x\nfloat64 y\nfloat64 z",
+    "geometry_msgs/msg/Quaternion": "float64 x 0\nfloat64 y 0\nfloat64 z 0\nfloat64 w 1",
+    "geometry_msgs/msg/Transform": (
+        "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation"
+    ),
+    "geometry_msgs/msg/Twist": "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular",
+    "control_msgs/msg/JointTrajectoryControllerState": (
+        "std_msgs/Header header\nstring[] joint_names\n"
+        "trajectory_msgs/JointTrajectoryPoint reference\n"
+        "trajectory_msgs/JointTrajectoryPoint feedback\n"
+        "trajectory_msgs/JointTrajectoryPoint error\n"
+        "trajectory_msgs/JointTrajectoryPoint output\n"
+        "string[] multi_dof_joint_names\n"
+        "trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_reference\n"
+        "trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_feedback\n"
+        "trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_error\n"
+        "trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_output\n"
+        "float64 speed_scaling_factor"
     ),
     "diagnostic_msgs/msg/DiagnosticArray": (
         "std_msgs/Header header\ndiagnostic_msgs/DiagnosticStatus[] status"
@@ -66,6 +90,9 @@ class Codecs:
         self._jazzy.register(
             {RESPONSE: ([], [(name, (Nodetype.BASE, (kind, 0))) for name, kind in fields])}
         )
+        for type_name, text in DEFINITIONS.items():
+            if type_name not in self._jazzy.types:
+                self._jazzy.register(get_types_from_msg(text, type_name))
         texts = DEFINITIONS | {RESPONSE: TRIGGER_RESPONSE}
         self._decoders: dict[str, Any] = {}
         self._encoders: dict[str, Any] = {}

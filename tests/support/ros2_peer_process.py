@@ -18,6 +18,7 @@ from secured_link import robot_process
 from skewmi.deploy.robot.process import free_port
 
 TRAJECTORY, STATE = "trajectory_msgs/msg/JointTrajectory", "sensor_msgs/msg/JointState"
+CONTROLLER = "control_msgs/msg/JointTrajectoryControllerState"
 DIAGNOSTICS, TRIGGER = "diagnostic_msgs/msg/DiagnosticArray", "std_srvs/srv/Trigger"
 COMMANDS = "/yumi/right/joint_trajectory"
 GRID_NS = 4_000_000

@@ -49,6 +49,12 @@ class PlanFollower:
         return self.plan.at_rest(self.executed_ns)
 
     @property
+    def commanded(self) -> JointPoint:
+        """What was written in the newest cycle, unless the arm has been moved since."""
+        assert self._commanded is not None
+        return self._commanded
+
+    @property
     def measured(self) -> Array:
         """Arm joints in the newest cycle, rad. Shape (n_joints,)."""
         assert self.state is not None

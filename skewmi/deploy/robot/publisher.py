@@ -1,4 +1,4 @@
-"""What a robot server tells without being asked: joint states, scene states, status."""
+"""What a robot server tells without being asked: states, what it executed, status."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from skewmi.deploy.robot.status import RobotStatus
 from skewmi.deploy.state_machine import Transition
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.channels import Publisher
+from skewmi.deploy.wire.controller_state import ControllerState, encode_controller_state
 from skewmi.deploy.wire.messages import JointStates, encode_joint_states
 from skewmi.deploy.wire.transport import Link
 from skewmi.trajectory import CYCLE_NS
@@ -38,10 +39,12 @@ class StatePublisher:
         self._controller = controller
         self._joint_states = link.publisher(topics.YUMI_JOINT_STATES)
         self._scene_states = link.publisher(topics.YUMI_SCENE_STATES)
+        self._controller_states = link.publisher(topics.YUMI_CONTROLLER_STATE)
         self._status = link.publisher(topics.YUMI_STATUS)
         self._link_varies = backend if isinstance(backend, LinkVaries) else None
         self._bad_link: BadLink | None = None
-        self._next_ns = self._stamp_ns = -1
+        self._next_ns = self._stamp_ns = self._executed_ns = -1
+        self._cycles_untold = 0
         self._told_ns = -_STATUS_PERIOD_NS
         self._refused_told = 0
         self._told: Mapping[str, str] = {}
@@ -55,6 +58,7 @@ class StatePublisher:
         others = () if scene is None else tuple(scene.publishers())
         return {
             topics.YUMI_JOINT_STATES.name: (self._joint_states.gid.hex(),),
+            topics.YUMI_CONTROLLER_STATE.name: (self._controller_states.gid.hex(),),
             topics.YUMI_STATUS.name: (self._status.gid.hex(),),
             topics.YUMI_SCENE_STATES.name: tuple(
                 gid.hex() for gid in others or (self._scene_states.gid,)
@@ -83,6 +87,28 @@ class StatePublisher:
         names = self._backend.state_names
         joints = JointStates(stamp_ns, names, state.position, state.velocity, state.effort)
         self._send(self._joint_states, encode_joint_states(joints))
+
+    def executed(self, state: RobotState) -> None:
+        """Publish what was written in the newest cycle, and what it measured; left out, and
+        counted, if the next cycle has come already."""
+        motion = self._controller.arm_motion
+        if motion.executed_ns == self._executed_ns:
+            return
+        self._executed_ns = motion.executed_ns
+        if self._backend.due():
+            self._cycles_untold += 1
+            return
+        names = self._backend.joint_names
+        joints = slice(len(names))
+        told = ControllerState(
+            motion.executed_ns,
+            names,
+            motion.commanded,
+            state.position[joints],
+            state.velocity[joints],
+            state.effort[joints],
+        )
+        self._controller_states.put(encode_controller_state(told))
 
     def carry(self) -> None:
         """Send the states whose delay on a varied link is over."""
@@ -140,6 +166,7 @@ class StatePublisher:
             told=self._told_by_robot(transition is not None),
             dropped=self.dropped(),
             workspace=controller.lease.workspace,
+            cycles_untold=self._cycles_untold,
             source=None if transition is None else transition.source,
             event=None if transition is None else ServerEvent(transition.event),
         )

@@ -147,6 +147,7 @@ class RobotServer:
         else:
             self._controller.cycle(state, now_ns)
             self._publisher.states(state)
+            self._publisher.executed(state)
         self._serve()
         self._publisher.carry()
         self._publisher.status()

@@ -31,7 +31,7 @@ _COMMON = frozenset(
         *("state", "reason", "accepted", "refused", "refusal", "refused_stamps_ns"),
         *("out_of_step", "refused_of_commander", "commander", "slips", "from", "event"),
         *("broken_of_commander", "last_refusal", "dropped", COMMANDER_REFUSED_STAMPS),
-        "workspace",
+        *("workspace", "cycles_untold"),
     }
 )
 """Keys that every robot server tells."""
@@ -81,6 +81,8 @@ class RobotStatus:
     they did not tell who sent them."""
     workspace: str = "task"
     """Name of the one that the commander was granted."""
+    cycles_untold: int = 0
+    """Cycles that `/yumi/right/controller_state` lacks for want of time, since it started."""
     source: ServerState | None = None
     """The state before, if a change of state is told."""
     event: ServerEvent | None = None
@@ -109,6 +111,7 @@ class RobotStatus:
             "last_refusal": self.last_refusal,
             "dropped": str(self.dropped),
             "workspace": self.workspace,
+            "cycles_untold": str(self.cycles_untold),
             COMMANDER_REFUSED_STAMPS: " ".join(map(str, self.commander_refused_stamps_ns)),
         }
         values = {**self.told, **values}
@@ -146,6 +149,7 @@ class RobotStatus:
                 last_refusal=values.get("last_refusal", ""),
                 dropped=int(values.get("dropped", 0)),
                 workspace=values.get("workspace", "task"),
+                cycles_untold=int(values.get("cycles_untold", 0)),
                 commander_refused_stamps_ns=refused_stamps(status),
                 source=ServerState(values["from"]) if "from" in values else None,
                 event=ServerEvent(values["event"]) if "event" in values else None,

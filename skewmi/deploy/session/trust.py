@@ -19,6 +19,8 @@ from skewmi.errors import ConfigurationError, TransportError
 
 ANSWER_TIMEOUT_S = 5.0
 _OF_SERVER = (topics.YUMI_JOINT_STATES, topics.YUMI_SCENE_STATES, topics.YUMI_STATUS)
+_RECORDED = (topics.YUMI_CONTROLLER_STATE,)
+"""What a session does not need itself."""
 
 
 class Trust:
@@ -91,7 +93,8 @@ class Trust:
                 f"the robot server does not say who publishes {', '.join(missing)}; is it of "
                 "another version of skewmi?"
             )
-        self._believe({topic.name: publishers[topic.name] for topic in _OF_SERVER})
+        told = (topic.name for topic in (*_OF_SERVER, *_RECORDED) if topic.name in publishers)
+        self._believe({name: publishers[name] for name in told})
 
     @property
     def believed(self) -> dict[str, list[str]]:

@@ -33,7 +33,12 @@ class Role(StrEnum):
     """Reads states, changes nothing."""
 
 
-_READ_BY_ALL = (topics.YUMI_JOINT_STATES, topics.YUMI_SCENE_STATES, topics.YUMI_STATUS)
+_READ_BY_ALL = (
+    topics.YUMI_JOINT_STATES,
+    topics.YUMI_CONTROLLER_STATE,
+    topics.YUMI_SCENE_STATES,
+    topics.YUMI_STATUS,
+)
 _WRITTEN_BY_COMMANDER = (
     topics.YUMI_TRAJECTORY,
     topics.YUMI_GRIPPER,

@@ -100,7 +100,7 @@ def encode(chunk: TrajectoryChunk) -> bytes:
 
 def decode(payload: bytes) -> TrajectoryChunk | None:
     """A chunk, or None if the bytes are not of this regular shape."""
-    parsed = _parse_names(payload)
+    parsed = parse_names(payload)
     if parsed is None:
         return None
     stamp_ns, names, count, start = parsed
@@ -140,7 +140,7 @@ def decode_pointwise(payload: bytes, most_points: int) -> TrajectoryChunk:
         ValueError, struct.error: Not a JointTrajectory, or one whose points have not all positions,
             velocities and accelerations for every joint, or too many joints or points.
     """
-    parsed = _parse_names(payload)
+    parsed = parse_names(payload)
     if parsed is None:
         raise ValueError(f"no names that can be read, of at most {MAX_JOINTS} joints")
     stamp_ns, names, count, position = parsed
@@ -176,7 +176,7 @@ def decode_pointwise(payload: bytes, most_points: int) -> TrajectoryChunk:
     return TrajectoryChunk(stamp_ns, names, times, JointTrajectory(q, v, a))
 
 
-def _parse_names(payload: bytes) -> tuple[int, tuple[str, ...], int, int] | None:
+def parse_names(payload: bytes) -> tuple[int, tuple[str, ...], int, int] | None:
     """Stamp, joint names, number of points and where they start; None if anything is odd."""
     try:
         if payload[:4] != _HEADER:

@@ -31,6 +31,7 @@ class Service:
 
 JOINT_TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 JOINT_STATE = "sensor_msgs/msg/JointState"
+CONTROLLER_STATE = "control_msgs/msg/JointTrajectoryControllerState"
 DIAGNOSTIC_ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
 TRIGGER = "std_srvs/srv/Trigger"
 
@@ -40,6 +41,8 @@ YUMI_GRIPPER = Topic("/yumi/right/gripper", JOINT_STATE, command=True)
 """Commanded finger opening: one position, metres of travel per finger from closed."""
 YUMI_JOINT_STATES = Topic("/yumi/joint_states", JOINT_STATE)
 """Measured arm joints (rad, rad/s, N m) and finger (m)."""
+YUMI_CONTROLLER_STATE = Topic("/yumi/right/controller_state", CONTROLLER_STATE)
+"""What was written to the arm in each cycle of its own, and what it measured. Recorded only."""
 YUMI_SCENE_STATES = Topic("/yumi/scene_states", JOINT_STATE)
 """Measured joints of the scene: hinges (rad) and slides (m), as the task names them."""
 YUMI_STATUS = Topic("/yumi/status", DIAGNOSTIC_ARRAY)
@@ -65,6 +68,7 @@ TOPICS = (
     YUMI_TRAJECTORY,
     YUMI_GRIPPER,
     YUMI_JOINT_STATES,
+    YUMI_CONTROLLER_STATE,
     YUMI_SCENE_STATES,
     YUMI_STATUS,
     POLICY_OBSERVATION,

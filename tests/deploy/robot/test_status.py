@@ -47,6 +47,7 @@ def test_what_is_encoded_is_decoded(state, counts, texts, stamps, late, commande
         last_refusal=texts[2],
         dropped=dropped,
         workspace=texts[2],
+        cycles_untold=slips,
         source=change[0],
         event=change[1],
     )
@@ -79,6 +80,7 @@ def test_keys_and_level_on_the_wire_are_what_others_read() -> None:
         "dropped": "0",
         "commander_refused_stamps_ns": "5 9",
         "workspace": "task",
+        "cycles_untold": "0",
     }
     told = RobotStatus(
         7, ServerState.FAULT, "", source=ServerState.HOLDING, event=ServerEvent.FAULT

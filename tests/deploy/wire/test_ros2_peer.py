@@ -17,6 +17,7 @@ import pytest
 import xxhash
 from ros2_peer_process import (
     COMMANDS,
+    CONTROLLER,
     DIAGNOSTICS,
     GRID_NS,
     STATE,
@@ -37,6 +38,7 @@ from skewmi.errors import TransportError
 
 ROBOT_SENDS = {
     "/yumi/joint_states": STATE,
+    "/yumi/right/controller_state": CONTROLLER,
     "/yumi/scene_states": STATE,
     "/yumi/status": DIAGNOSTICS,
 }
@@ -48,8 +50,9 @@ SESSION_SENDS = {
     "/skewmi/policy_action": STATE,
 }
 SERVICES = ("/yumi/arm", "/yumi/disarm", "/yumi/stop", "/yumi/describe", "/yumi/scene/reset")
-# As published with ROS 2 Jazzy.
+# As published with ROS 2 Jazzy; of ros2_control's type as the SDK and rosbags compute it.
 HASHES = {
+    CONTROLLER: "RIHS01_51d8dd89cc624cbe9daaeeb4d80d6de9b86168ffdc3be41fefc0953e3c26e480",
     TRAJECTORY: "RIHS01_179b33eba59d676f6d967ac71fe35e7ca2f64b2f3928f4a018cec115e213796e",
     STATE: "RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e",
     TRIGGER: "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f",
@@ -154,6 +157,12 @@ def test_peer_decodes_everything_the_robot_sends(peer: Peer) -> None:
         assert len(message["position"]) == len(message["velocity"]) == len(message["effort"]) == 8
     commanded = server["commanded_position"]
     np.testing.assert_allclose(states[-1]["position"][:7], commanded, atol=5e-3)
+    for message in received["/yumi/right/controller_state"]:
+        assert message["joint_names"] == server["joint_names"]
+        assert message["reference"]["positions"] == commanded
+        assert message["reference"]["accelerations"] == [0.0] * 7
+        assert len(message["feedback"]["effort"]) == 7
+        assert message["multi_dof_joint_names"] == []
     assert received["/yumi/scene_states"][-1]["name"] == ["lid_hinge", "button_slide"]
     (status,) = received["/yumi/status"][-1]["status"]
     assert (status["name"], status["hardware_id"]) == ("skewmi_robot", "yumi")

@@ -92,7 +92,12 @@ def test_observer_reads_states_and_nothing_else(
     secured: SecuredLink, commander: Link, own_rules: bool
 ) -> None:
     publisher = commander.publisher(topics.YUMI_TRAJECTORY)
-    readable = (topics.YUMI_JOINT_STATES, topics.YUMI_SCENE_STATES, topics.YUMI_STATUS)
+    readable = (
+        topics.YUMI_JOINT_STATES,
+        topics.YUMI_CONTROLLER_STATE,
+        topics.YUMI_SCENE_STATES,
+        topics.YUMI_STATUS,
+    )
     config = secured.config(Role.OBSERVER) if own_rules else secured.without_rules(Role.OBSERVER)
     with Link.open(config, "observer") as link:
         assert link.wait_for_robot(10.0)["task"] == "open_press_close"
