@@ -2,29 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from math import cos, sin
 
 import mujoco
 import numpy as np
 
 from skewmi.errors import ConfigurationError
 from skewmi.robot_models import mjcf, yumi
-from skewmi.robot_models.yumi import Vector
+from skewmi.robot_models.obstacle import Obstacle as Obstacle
 from skewmi.trajectory import Array
 
 CLEARANCE = 0.02
 """Smallest distance kept, m: what a deployed guard asks for (5 mm) and room for an arm that does
 not follow its command exactly."""
-
-
-@dataclass(frozen=True)
-class Obstacle:
-    """A box with sides along the robot base's axes."""
-
-    centre: Vector
-    """In the robot base frame, m."""
-    half_size: Vector
-    """m."""
 
 
 class ClearSpace:
@@ -49,6 +39,7 @@ class ClearSpace:
                 type=mujoco.mjtGeom.mjGEOM_BOX,
                 pos=box.centre,
                 size=box.half_size,
+                quat=(cos(box.yaw / 2.0), 0.0, 0.0, sin(box.yaw / 2.0)),
             )
         for geom in list(spec.geoms):
             # MuJoCo then reports pairs that near as contacts.

@@ -49,18 +49,17 @@ def scene_obstacles(shapes: Iterable[Shape], margin: float = 0.0) -> tuple[Obsta
             known = bounds[shape.joint]
             low, high = np.minimum(known[0], low), np.maximum(known[1], high)
         bounds[shape.joint] = low, high
-    boxes = [
-        (f"scene at {joint}" if joint else "scene", low - margin, high + margin)
-        for joint, (low, high) in bounds.items()
-    ]
-    return tuple(
-        _obstacle(name, low, high)
-        for name, low, high in boxes
-        if not any(
-            other != name and (inner_low <= low).all() and (high <= inner_high).all()
-            for other, inner_low, inner_high in boxes
-        )
-    )
+    kept: list[tuple[str, Array, Array]] = []
+    # Largest first: what is within another one comes after it, and of equal ones one stays.
+    for joint, (low, high) in sorted(bounds.items(), key=_volume, reverse=True):
+        if not any((outer <= low).all() and (high <= top).all() for _, outer, top in kept):
+            kept.append((f"scene at {joint}" if joint else "scene", low, high))
+    return tuple(_obstacle(name, low - margin, high + margin) for name, low, high in kept)
+
+
+def _volume(box: tuple[str, tuple[Array, Array]]) -> float:
+    low, high = box[1]
+    return float((high - low).prod())
 
 
 def _extent(shape: Shape) -> tuple[Array, Array]:
