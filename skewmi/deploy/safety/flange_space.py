@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skewmi.deploy.safety.limits import (
     TCP_SPEED_LIMIT,
@@ -209,16 +210,19 @@ class SpaceCheck:
             usage = usage.merged(self._check_tips(position, rotation))
         outside = np.maximum(self._low - position, position - self._high)
         excess = outside.max(axis=1)
-        began_inside = excess[0] <= self._tolerance + _ROUNDING
-        if began_inside and excess.max() > self._tolerance:
-            axis = f"axis {'xyz'[int(outside.max(axis=0).argmax())]}"
+        began_inside = bool(excess[0] <= self._tolerance + _ROUNDING)
+        inside = excess <= self._tolerance
+        entered = np.logical_or.accumulate(inside) | began_inside
+        if (entered & ~inside).any():
+            left = outside[entered]
+            axis = f"axis {'xyz'[int(left.max(axis=0).argmax())]}"
             raise LimitViolationError(
-                "distance outside the workspace, m", float(excess.max()), self._tolerance, axis
+                "distance outside the workspace, m", float(left.max()), self._tolerance, axis
             )
-        self._check_height(position, rotation, excess, began_inside=bool(began_inside))
+        self._check_height(position, rotation, inside, began_inside=began_inside)
         middle, half = (self._low + self._high) / 2.0, (self._high - self._low) / 2.0
-        use = float((np.abs(position - middle) / half).max()) if began_inside else 0.0
-        return usage.merged(LimitUsage(workspace=use))
+        use = (np.abs(position - middle) / half)[entered].max(initial=0.0)
+        return usage.merged(LimitUsage(workspace=float(use)))
 
     def _check_tips(self, position: Array, rotation: Array) -> LimitUsage:
         """A hand that turns about its flange moves its fingers, too."""
@@ -229,15 +233,20 @@ class SpaceCheck:
         return LimitUsage(tcp_speed=speed / self._speed)
 
     def _check_height(
-        self, position: Array, rotation: Array, excess: Array, *, began_inside: bool
+        self, position: Array, rotation: Array, inside: NDArray[np.bool_], *, began_inside: bool
     ) -> None:
         """Of the lowest point of the hand, wherever the flange is inside."""
         if self._above <= 0.0:
             return
         lowest = lowest_of_hand(position, rotation)
         bound = self._above - self._tolerance
+        bounds = np.full(len(lowest), bound)
         if began_inside and lowest[0] < bound - _ROUNDING:
-            bound = float(lowest[0])
-        low = lowest[excess <= self._tolerance].min(initial=np.inf)
-        if low < bound:
-            raise LimitViolationError("height of the fingers, m", float(low), bound, "lower bound")
+            up = np.logical_or.accumulate(inside & (lowest >= bound))
+            bounds[~up] = lowest[0]
+        low = np.where(inside, bounds - lowest, -np.inf)
+        worst = int(low.argmax())
+        if low[worst] > 0.0:
+            raise LimitViolationError(
+                "height of the fingers, m", float(lowest[worst]), float(bounds[worst]), "at least"
+            )
