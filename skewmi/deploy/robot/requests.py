@@ -51,7 +51,8 @@ class RobotRequests:
             )
         gid, gripper, workspace = request.gid, request.gripper, request.workspace or TASK
         if controller.state in ACCEPTS_COMMANDS and gid and gid == lease.holder:
-            self._check_workspace(workspace)
+            if workspace != lease.workspace:
+                self._check_workspace(workspace)
             controller.refusals.begin()
             lease.workspace = workspace
             lease.gripper_holder = gripper or lease.gripper_holder
@@ -138,9 +139,7 @@ class RobotRequests:
                 f"no workspace {printable(name)!r} before this robot's scene; there are: "
                 f"{', '.join(controller.workspaces)}"
             )
-        if name == controller.lease.workspace:
-            return
-        if not controller.at_rest:
+        if name != controller.lease.workspace and not controller.at_rest:
             raise CommandRefusedError("the arm is moving; another workspace is granted at rest")
         if name != TASK and scene is not None:
             check_scene_is_shut(scene)

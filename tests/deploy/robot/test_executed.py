@@ -15,6 +15,8 @@ from skewmi.deploy.recording.joint_series import executed_reference, measured_st
 from skewmi.deploy.recording.reader import read_recording
 from skewmi.deploy.recording.recorder import Recorder
 from skewmi.deploy.robot.publisher import StatePublisher
+from skewmi.deploy.safety.flange_space import CALIBRATION, TASK
+from skewmi.deploy.session.open_space import open_space
 from skewmi.deploy.session.robot_client import RobotClient
 from skewmi.deploy.session.trust import Trust
 from skewmi.deploy.wire import topics
@@ -87,21 +89,26 @@ def test_a_recording_has_every_cycle_of_a_robot_that_waits(tmp_path: Path) -> No
             own = {topics.YUMI_TRAJECTORY.name: (commands.gid,)}
             trust = Trust(link, own, None)
             client = RobotClient.open(link, trust, commands, gripper, dry_run=False)
-            described = trust.meet()
+            described = trust.meet(with_scene=True)
+            checks = open_space(described, CALIBRATION, LAB)
             with Recorder.start(path, config, believed=trust.believed):
-                client.arm()
+                client.arm(CALIBRATION)
                 start = np.array(described.commanded_position)
                 motion = StartMotion(start, start + 0.02, LAB)
-                clock_ns = client.describe().clock_ns
+                armed = client.describe()
+                clock_ns = armed.clock_ns
                 begin_ns = clock_ns - clock_ns % CYCLE_NS + 2 * CYCLE_NS
                 chunks = [motion.chunk(cycle) for cycle in range(CHUNKS)]
                 for cycle, samples in enumerate(chunks):
+                    checks.guard.check(samples.q, samples.v, samples.a)
                     stamp_ns = begin_ns + cycle * CYCLE_NS
                     chunk = TrajectoryChunk.of(stamp_ns, described.joint_names, samples)
                     client.put_chunk(encode_chunk(chunk))
                 while client.describe().clock_ns <= stamp_ns:
                     client.check(late_is_final=True)
-                client.disarm()
+                at_rest = client.disarm()
+    assert at_rest is not None
+    assert (armed.workspace, at_rest.workspace) == (CALIBRATION, TASK)
     read = read_recording(path)
     told = executed_reference(read)
     first, samples = told.on_grid()

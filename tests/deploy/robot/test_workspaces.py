@@ -198,6 +198,12 @@ def test_an_open_lid_keeps_it_shut(roomy: LoneRobot, simulation: ArmSimulation) 
     assert roomy.controller.lease.workspace == TASK
     roomy.requests.reset_scene(1)
     roomy.requests.arm(request(OURS, CALIBRATION), 0)
+    roomy.requests.disarm(OURS)
+    # Nor is it inherited from somebody who has not begun: it is another's to ask for.
+    roomy.requests.arm(request(b"", CALIBRATION)[16:], 0)
+    simulation._data.qpos[simulation.scene.scene_qpos[0]] = 1.0
+    with pytest.raises(CommandRefusedError, match="lid_hinge is at"):
+        roomy.requests.arm(request(OURS, CALIBRATION), 0)
 
 
 @pytest.mark.parametrize("position", [np.nan, np.inf, -1.0])
