@@ -13,7 +13,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -108,8 +108,9 @@ def listen(
     on_round: Callable[[], None],
     on_line: Callable[[dict[str, Any]], None],
     on_believed: Callable[[dict[str, list[str]]], None] = lambda believed: None,
+    topics: Sequence[Topic] = TOPICS,
 ) -> Counts:
-    """Subscribe to everything, and hand over what believed senders say until the owner ends it.
+    """Subscribe to topics, and hand over what believed senders say until the owner ends it.
 
     Who is believed stands in the task, and in later lines, under "believed": lists of hexadecimal
     global ids by topic, which replace those before. Without it everybody is, the first sixteen on
@@ -123,6 +124,7 @@ def listen(
         on_round: Called after each look.
         on_line: Given each other line of the owner.
         on_believed: Given each such list, before any message of its senders.
+        topics: What to listen to; everything by default.
     """
     believed = source.task.get("believed")
     senders = Senders(link.graph.node_of, everybody=believed is None)
@@ -135,7 +137,7 @@ def listen(
     if believed is not None:
         believe(believed)
     # Unread samples pile up here in memory, never in Zenoh, where they would slow others.
-    readers = [(topic, link.subscribe(topic, None, senders)) for topic in TOPICS]
+    readers = [(topic, link.subscribe(topic, None, senders)) for topic in topics]
     # What travels on a link keeps its order: once the robot server has answered, it knows what we
     # subscribe to. Not everything that publishes serves descriptions.
     with contextlib.suppress(TransportError):

@@ -1,4 +1,4 @@
-"""The process behind `live.LiveView`: subscribes to every topic and draws what comes in Rerun.
+"""The process behind `live.LiveView`: subscribes to what is shown and draws what comes in Rerun.
 
     python -m skewmi.deploy.replay.live_process
 
@@ -25,6 +25,7 @@ from skewmi.deploy.replay import viewer
 from skewmi.deploy.replay.assembler import RunAssembler
 from skewmi.deploy.replay.data import Subject
 from skewmi.deploy.replay.view import RunView
+from skewmi.deploy.wire.topics import TOPICS, YUMI_CONTROLLER_STATE
 from skewmi.deploy.wire.transport import Link
 from skewmi.errors import SkewmiError
 
@@ -35,6 +36,10 @@ PERIOD_S = 0.1
 
 ALIVE_S = 1.0
 """Between two signs of life."""
+
+_SHOWN = tuple(topic for topic in TOPICS if topic != YUMI_CONTROLLER_STATE)
+"""What is executed is told in every cycle, and can be seen in the joint states: not worth the time
+of a process that comes last."""
 
 _NICENESS = 10
 """Drawing waits for those who move the arm; a viewer that is spawned inherits it."""
@@ -115,6 +120,7 @@ def _show(source: Input, streams: _Streams) -> tuple[Counts, RunAssembler]:
             on_sample=lambda topic, sample: assembler.feed(topic.name, sample.payload),
             on_round=draw,
             on_line=lambda content: None,
+            topics=_SHOWN,
         )
         draw(final=True)
     return counts, assembler
