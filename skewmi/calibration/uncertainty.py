@@ -68,7 +68,7 @@ def fit_covariance(
     parameters = jacobian.shape[-1]
     by_joint = np.einsum("tdp,tdq->dpq", jacobian, jacobian)
     information = np.einsum("d,dpq->pq", weight**2, by_joint)
-    inverse = _inverse(information)
+    inverse = inverse_of(information)
     untold = np.diag(UNTOLD * (np.diag(information) <= 0.0))
     time = np.array([autocorrelation_time(column) for column in residual.T])
     spread = np.einsum("d,dpq->pq", weight**4 * sigma**2 * time, by_joint)
@@ -102,7 +102,7 @@ def autocorrelation_time(series: Array) -> float:
     return max(1.0, 1.0 + 2.0 * float(kept.sum()))
 
 
-def _inverse(matrix: Array) -> Array:
+def inverse_of(matrix: Array) -> Array:
     """Inverse of a symmetric matrix of rows of very different size; zero where they are."""
     size = np.sqrt(np.diag(matrix))
     told = size > 0.0
