@@ -1,8 +1,8 @@
 """How close servo identification comes, from commands and positions at 50 Hz alone.
 
-Robots are drawn from the documented ranges (servo 0.4 to 1.6, friction 0 to 2 N m, delay 0 to 40 ms
-in the simulation's steps of 4 ms), follow an excitation in the simulation of the whole scene, and
-are identified with the bare model of the arm. A motion with the next seed is held out. With
+Robots are drawn from the documented ranges (servo 0.4 to 1.6, friction 0 to 2 N m, delay 0 to
+40 ms), follow an excitation in the simulation of the whole scene, and are identified with the bare
+model of the arm. A motion with the next seed is held out. With
 `--mass-error` the masses and inertias of the arm differ from the model's, which then knows that
 they may (`inertia_uncertainty`): only the ratios to stiffness are to be right.
 
@@ -19,10 +19,11 @@ import numpy as np
 from common import argument_parser, print_result, progress, write_result
 
 # isort: split
-from calibrations import DrawnRobot, clear_centre
+from calibrations import DrawnRobot
 
 from skewmi.calibration.clear_space import ClearSpace
 from skewmi.calibration.excitation import Excitation
+from skewmi.calibration.excitation_choice import excitation_centre
 from skewmi.calibration.servo_identification import (
     ServoIdentification,
     identify_servos,
@@ -40,7 +41,7 @@ HELD_OUT_S = 10.0
 
 def motion(args: argparse.Namespace, seconds: float, seed: int) -> JointTrajectory:
     return Excitation(seconds, seed).motion(
-        clear_centre(), limits.profile(args.limits), ClearSpace()
+        excitation_centre(), limits.profile(args.limits), ClearSpace()
     )
 
 

@@ -14,11 +14,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from mujoco import minimize
+from numpy.typing import NDArray
 
 from skewmi.calibration.servo_estimates import Estimate, estimates
 from skewmi.calibration.servo_model import DelayedServo, ServoModel
 from skewmi.calibration.servo_parameters import ServoUnknowns
 from skewmi.calibration.servo_recording import ServoRecording
+from skewmi.calibration.servo_starts import first_start, other_starts
 from skewmi.calibration.uncertainty import autocorrelation_time, fit_covariance
 from skewmi.errors import ConfigurationError
 from skewmi.robot_models.servo import ServoParameters
@@ -29,11 +31,12 @@ SETTLE_S = 0.5
 and it takes a movement until the simulated joint is where the real one is."""
 RESOLUTION = 1e-5
 """Least standard deviation of a residual, rad: no encoder and no integrator is better."""
-SUCH_DELAYS_S = (0.0, 0.012, 0.024, 0.036, 0.048, 0.060, 0.080)
-SUCH_FRICTIONS = (0.1, 0.5, 1.0, 2.0)
-SUCH_STIFFNESSES = (0.5, 1.0)
-"""Starts that are tried: delays, N m, and factors on the nominal stiffness and damping."""
-LOOK_S = 10.0
+TRIES = 4
+STUCK_MEMORY = 3.0
+"""Autocorrelation time of a joint's residual, in samples, from which it may be stuck."""
+BETTER = 0.98
+"""Of a joint's squared residual, to be taken for better."""
+LOOK_S = 12.0
 """Of a recording that a start is judged by, s."""
 STEP = 1e-4
 XTOL = 1e-4
@@ -116,16 +119,20 @@ class ServoIdentifier:
         """
         nominal = self._unknowns.nominal
         seconds = sum(float(np.ptp(r.times_s)) for r in self._recordings)
-        vector = self._first() if start is None else self._unknowns.vector(start)
+        vector = self._start() if start is None else self._unknowns.vector(start)
         weight = np.full(7, 1.0 / RESOLUTION)
         if seconds > 2.0 * LOOK_S:
             # Most of the way on a part of the motion, at a part of the time.
-            first = self._recordings[0].shortened(LOOK_S)
             part = ServoIdentifier(
-                self._model, (first,), nominal, free_armature=self._unknowns.free_armature
+                self._model,
+                (_look(self._recordings[0]),),
+                nominal,
+                free_armature=self._unknowns.free_armature,
             )
-            vector = part._minimised(vector, weight, ITERATIONS)
-        vector = self._minimised(vector, weight, ITERATIONS)
+            vector = part._settled(vector, weight)
+            vector = self._minimised(vector, weight, ITERATIONS)
+        else:
+            vector = self._settled(vector, weight)
         residual = self._residual(vector[:, None])[..., 0]
         sigma = self._sigma(residual)
         if sigma.max() > NOT_EQUAL * sigma.min():
@@ -145,38 +152,47 @@ class ServoIdentifier:
             seconds_of_motion=seconds,
         )
 
-    def _first(self) -> Array:
-        """The best start, on the first seconds of the first recording.
+    def _start(self) -> Array:
+        return first_start(self._model, self._unknowns, _look(self._recordings[0]))
 
-        Joints hardly move one another, so that each takes the servo that suits it: the search
-        over all starts of seven joints is one over those of one.
+    def _settled(self, vector: Array, weight: Array) -> Array:
+        """The minimum, sought again from elsewhere for joints whose residual is not noise.
+
+        The valleys of stiffness, damping and friction are long and bent: a joint can be stuck far
+        off, where its ratios to the stiffness are nearly right.
         """
-        nominal = self._unknowns.nominal
-        short = self._recordings[0].shortened(LOOK_S)
-        servos = [
-            nominal.with_changes(
-                kp=factor * nominal.kp,
-                kd=factor * nominal.kd,
-                frictionloss=np.full(7, friction),
-            )
-            for factor in SUCH_STIFFNESSES
-            for friction in SUCH_FRICTIONS
-        ]
-        size = np.empty((len(SUCH_DELAYS_S), len(servos), 7))
-        for row, delay in zip(size, SUCH_DELAYS_S, strict=True):
-            late = [DelayedServo(parameters, delay) for parameters in servos]
-            row[:] = ((self._model.positions(late, short) - short.positions) ** 2).mean(axis=1)
-        # Each joint's errors by their smallest: a stiff one's count as much as a soft one's.
-        least = size.min(axis=1)
-        delay = int(np.argmin((least / least.min(axis=0)).sum(axis=1)))
-        own = size[delay].argmin(axis=0)
-        chosen = {
-            name: np.array([getattr(servos[k], name)[joint] for joint, k in enumerate(own)])
-            for name in ("kp", "kd", "frictionloss")
-        }
-        return self._unknowns.vector(
-            DelayedServo(nominal.with_changes(**chosen), SUCH_DELAYS_S[delay])
-        )
+        vector = self._minimised(vector, weight, ITERATIONS)
+        for rank in range(TRIES):
+            residual = self._residual(vector[:, None])[..., 0]
+            memory = np.array([autocorrelation_time(column) for column in residual.T])
+            stuck = np.flatnonzero(memory > STUCK_MEMORY)
+            if not stuck.size:
+                break
+            others = other_starts(self._unknowns, vector)
+            order = (self._residual(others) ** 2).sum(axis=0).argsort(axis=1)
+            tried = vector
+            for joint in stuck:
+                tried = self._with_joints(
+                    tried, others[:, order[joint, rank]], stuck[stuck == joint]
+                )
+            tried = self._minimised(tried, weight, ITERATIONS)
+            found = self._residual(tried[:, None])[..., 0]
+            better = (found**2).sum(axis=0) < BETTER * (residual**2).sum(axis=0)
+            if better.any():
+                vector = self._with_joints(vector, tried, np.flatnonzero(better))
+                vector[-1] = tried[-1]
+                vector = self._minimised(vector, weight, ITERATIONS)
+            elif rank:
+                # It is the model that lacks something, and no search will find it.
+                break
+        return vector
+
+    def _with_joints(self, vector: Array, other: Array, joints: NDArray[np.int64]) -> Array:
+        """A vector with some joints' numbers of another one."""
+        rows = (7 * np.arange(self._unknowns.size // 7)[:, None] + joints).ravel()
+        mixed: Array = vector.copy()
+        mixed[rows] = other[rows]
+        return mixed
 
     def _residual(self, vectors: Array) -> Array:
         """Simulated less measured positions, rad. (p, k) -> (m, 7, k)."""
@@ -251,6 +267,11 @@ def _columns(residual: Callable[[Array], Array], weight: Array) -> Callable[[Arr
         return found.reshape(-1, found.shape[-1])
 
     return weighted
+
+
+def _look(recording: ServoRecording) -> ServoRecording:
+    """The first seconds of a motion."""
+    return recording.shortened(recording.motion_begins_s + LOOK_S)
 
 
 def _rms(residual: Array) -> Array:

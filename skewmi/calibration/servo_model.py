@@ -169,6 +169,9 @@ def _bare_arm() -> mujoco.MjModel:
         spec.delete(equality)
     for name in fingers:
         spec.delete(spec.joint(name))
+    for name in yumi.joint_names("right"):
+        joint = spec.joint(name)
+        joint.solref_friction, joint.solimp_friction = servo.DRY_SOLREF, servo.DRY_SOLIMP
     spec.option.timestep = GRID_S
     spec.option.gravity = (0.0, 0.0, 0.0)
     return spec.compile()

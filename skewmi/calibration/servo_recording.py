@@ -12,6 +12,8 @@ from skewmi.trajectory import GRID_S, JointTrajectory
 
 SHORTEST_S = 2.0
 """Of a motion from which anything can be identified, s."""
+_ENOUGH_STILL = 10
+"""Measurements at rest that tell how much they scatter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +75,13 @@ class ServoRecording:
         still = self.times_s <= max(self.motion_begins_s, self.times_s[0])
         mean: Array = self.positions[still].mean(axis=0)
         return mean
+
+    @property
+    def rest_noise(self) -> float:
+        """Standard deviation of a joint angle while the arm rests before it moves, rad; of the
+        joint with the median one. 0 if there are less than ten measurements."""
+        still = self.positions[self.times_s <= self.motion_begins_s]
+        return float(np.median(still.std(axis=0))) if len(still) >= _ENOUGH_STILL else 0.0
 
     def shortened(self, seconds: float) -> ServoRecording:
         """The first part of it."""

@@ -7,7 +7,9 @@ import numpy as np
 from skewmi.calibration.calibration_file import Constant, ServoCalibration
 from skewmi.calibration.servo_estimates import Estimate
 from skewmi.calibration.servo_identification import ServoIdentification
+from skewmi.calibration.servo_model import DelayedServo
 from skewmi.robot_models import yumi
+from skewmi.robot_models.servo import ServoParameters
 
 _UNITS = {
     "kp": "N m/rad",
@@ -31,6 +33,24 @@ def servo_section(found: ServoIdentification) -> ServoCalibration:
     else:
         constants["armature"] = _constant(armature)
     return ServoCalibration(**constants, delay_ms=_constant(found.estimates["delay"], 1e3))
+
+
+def servo_start(section: ServoCalibration, nominal: ServoParameters) -> DelayedServo:
+    """Servos of an earlier calibration, to begin a search from.
+
+    Args:
+        section: Of a calibration file.
+        nominal: What no calibration tells.
+    """
+    return DelayedServo(
+        nominal.with_changes(
+            **{
+                name: np.array(getattr(section, name).value)
+                for name in ("kp", "kd", "frictionloss", "armature")
+            }
+        ),
+        section.delay_ms.value[0] / 1e3,
+    )
 
 
 def servo_warnings(found: ServoIdentification) -> tuple[str, ...]:

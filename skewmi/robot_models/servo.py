@@ -37,6 +37,13 @@ FRICTIONLOSS: Array = np.array([0.28, 0.28, 0.12, 0.12, 0.046, 0.046, 0.046])
 """Dry friction that the controller does not compensate, N m [C]: a fifth of 1.4, 0.6 and
 0.23 N m, our reading of the controllers' friction feed-forward levels. Shape (7,)."""
 
+DRY_SOLREF: tuple[float, float] = (0.008, 1.0)
+DRY_SOLIMP: tuple[float, float, float, float, float] = (0.9999, 0.9999, 0.001, 0.5, 2.0)
+"""MuJoCo's solver parameters of dry friction that holds a joint: time constant t of two time steps,
+impedance d. Its friction constraint is soft, and below the speed R F / B it is nothing but viscous
+(R = (1 - d) / d / inertia, B = 2 / (d t)): 0.1 rad/s for 2 N m in the wrist by default, so that a
+joint creeps all the way under less torque than its friction. These make it 1e-4 rad/s."""
+
 
 def critical_damping(stiffness: Array, armature: Array, ratio: float = 1.0) -> Array:
     """Damping of a servo of given damping ratio: 2 ratio sqrt(kp (I + armature)), N m s/rad."""

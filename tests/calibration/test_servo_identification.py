@@ -6,10 +6,11 @@ import functools
 
 import numpy as np
 import pytest
-from calibrations import DrawnRobot, clear_centre
+from calibrations import DrawnRobot
 
 from skewmi.calibration.calibration_file import Calibration
 from skewmi.calibration.excitation import Excitation
+from skewmi.calibration.excitation_choice import excitation_centre
 from skewmi.calibration.servo_identification import identify_servos, position_rms
 from skewmi.calibration.servo_model import DelayedServo, ServoModel
 from skewmi.calibration.servo_parameters import ServoUnknowns
@@ -27,7 +28,7 @@ NOISE = 1e-4
 
 @functools.cache
 def motion() -> JointTrajectory:
-    return Excitation(5.0, 1).motion(clear_centre(), limits.profile("lab"))
+    return Excitation(5.0, 1).motion(excitation_centre(), limits.profile("lab"))
 
 
 @functools.cache
@@ -114,9 +115,9 @@ def test_vectors_and_servos_are_the_same_thing() -> None:
 
 
 def test_recordings_that_tell_nothing_are_refused() -> None:
-    resting = JointTrajectory.resting(clear_centre(), 1000)
+    resting = JointTrajectory.resting(excitation_centre(), 1000)
     times = np.arange(0.0, 3.9, 0.02)
-    positions = np.tile(clear_centre(), (len(times), 1))
+    positions = np.tile(excitation_centre(), (len(times), 1))
     still = ServoRecording(resting, times, positions)
     with pytest.raises(ConfigurationError, match=r"joints \[1, 2, 3, 4, 5, 6, 7\]"):
         identify_servos(model(), [still], DEFAULT)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import json
 from dataclasses import dataclass
 
@@ -17,22 +16,8 @@ from skewmi.calibration.calibration_file import (
 )
 from skewmi.calibration.servo_recording import ServoRecording
 from skewmi.deploy.robot.backends.mujoco.simulation import ArmSimulation
-from skewmi.robot_models import yumi
-from skewmi.robot_models.kinematics import ArmKinematics
 from skewmi.robot_models.servo import ServoParameters
 from skewmi.trajectory import CYCLE_TICKS, GRID_S, Array, JointTrajectory
-
-ABOVE_THE_TABLE_M = 0.15
-
-
-@functools.cache
-def clear_centre() -> Array:
-    """The start of the table's tasks, the hand lifted until it is clear of what stands there."""
-    kinematics = ArmKinematics("right")
-    start = np.array(yumi.TABLE_CONFIGURATION)
-    position, rotation = kinematics.forward(start)
-    lifted = position + np.array([0.0, 0.0, ABOVE_THE_TABLE_M])
-    return kinematics.inverse(lifted, rotation, start, max_iterations=30).q
 
 
 @dataclass(frozen=True)
@@ -47,13 +32,12 @@ class DrawnRobot:
 
     @staticmethod
     def draw(rng: np.random.Generator) -> DrawnRobot:
-        """Servos of 0.4 to 1.6, friction of 0 to 2 N m, a delay of 0 to 40 ms in steps of 4 ms,
-        which the simulated robot rounds to."""
+        """Servos of 0.4 to 1.6, friction of 0 to 2 N m, a delay of 0 to 40 ms."""
         return DrawnRobot(
             rng.uniform(0.4, 1.6, 7),
             rng.uniform(0.4, 1.6, 7),
             rng.uniform(0.0, 2.0, 7),
-            4.0 * float(rng.integers(0, 11)),
+            float(rng.uniform(0.0, 40.0)),
         )
 
     def parameters(self, nominal: ServoParameters) -> ServoParameters:
@@ -85,18 +69,13 @@ class DrawnRobot:
             "servo": {
                 "kp_scale": self.kp_scale.tolist(),
                 "kd_scale": self.kd_scale.tolist(),
+                "frictionloss": self.frictionloss.tolist(),
                 "delay_ms": self.delay_ms,
             },
+            "arm": {"mass_scale": mass_scale},
             "sensors": {"joint_noise": joint_noise},
         }
         simulation = ArmSimulation(None, motion.q[0], json.dumps(variation))
-        model = simulation.scene.model
-        model.dof_frictionloss[simulation.scene.arm_dof] = self.frictionloss
-        if mass_scale != 1.0:
-            for name in yumi.link_names("right"):
-                body = model.body(name).id
-                model.body_mass[body] *= mass_scale
-                model.body_inertia[body] *= mass_scale
         times, positions = [], []
         for tick in range(len(motion)):
             if tick % CYCLE_TICKS == 0:

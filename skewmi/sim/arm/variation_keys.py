@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skewmi.policy_io import Array
-from skewmi.robot_models import yumi
+from skewmi.robot_models import servo, yumi
 from skewmi.sim.arm.model_fields import ModelFields
 from skewmi.sim.variation import VariationKey
 
@@ -26,10 +26,6 @@ LINK_LOSS = "link.loss"
 LINK_DELAY_MS = "link.delay_ms"
 LINK_JITTER_MS = "link.jitter_ms"
 """Keys that are no field of a model: whoever simulates the arm sees to them."""
-
-_DRY_SOLREF = (0.008, 1.0)
-_DRY_SOLIMP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
-"""Solver parameters of friction that holds: time constant t of two time steps, impedance d."""
 
 
 def _scale_stiffness(fields: ModelFields, scale: Array) -> None:
@@ -63,11 +59,8 @@ def _let_joints_stick(fields: ModelFields, scale: Array) -> None:
 
 
 def _make_friction_dry(fields: ModelFields, dry: NDArray[np.bool_]) -> None:
-    # MuJoCo's friction constraint is soft, and below the speed R F / B it is nothing but viscous
-    # (R = (1 - d) / d / inertia, B = 2 / (d t)): 0.1 rad/s for 2 N m in the wrist by default, so
-    # that a joint creeps all the way under less torque than its friction. These make it 1e-4 rad/s.
     dofs = np.array([fields.dof(name) for name in yumi.joint_names("right")])
-    for field, values in (("dof_solref", _DRY_SOLREF), ("dof_solimp", _DRY_SOLIMP)):
+    for field, values in (("dof_solref", servo.DRY_SOLREF), ("dof_solimp", servo.DRY_SOLIMP)):
         written = fields.write(field)
         written[:, dofs] = np.where(dry[..., None], values, written[:, dofs])
 
