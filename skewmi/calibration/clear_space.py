@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from math import cos, sin
 
 import mujoco
@@ -9,7 +10,7 @@ import numpy as np
 
 from skewmi.errors import ConfigurationError
 from skewmi.robot_models import mjcf, yumi
-from skewmi.robot_models.obstacle import Obstacle as Obstacle
+from skewmi.robot_models.obstacle import Obstacle
 from skewmi.trajectory import Array
 
 CLEARANCE = 0.02
@@ -23,12 +24,19 @@ class ClearSpace:
     Args:
         obstacles: What stands around it besides robot and table.
         clearance: Smallest distance that counts as clear, m.
+        inside: What else has to hold: configurations, rad, shape (n, 7) -> the first that is
+            somewhere it must not be, and where; None if all may be where they are.
     """
 
-    def __init__(self, obstacles: tuple[Obstacle, ...] = (), clearance: float = CLEARANCE) -> None:
+    def __init__(
+        self,
+        obstacles: Sequence[Obstacle] = (),
+        clearance: float = CLEARANCE,
+        inside: Callable[[Array], tuple[int, str] | None] | None = None,
+    ) -> None:
         if not 0.0 < clearance < 1.0:
             raise ConfigurationError(f"clearance is {clearance} m; it must be within 0..1 m")
-        self._clearance = clearance
+        self._clearance, self._inside = clearance, inside
         spec = mjcf.build_robot(left_arm="parked", collision=True, visual=False)
         spec.worldbody.add_geom(
             name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(2.0, 2.0, 0.1)
@@ -58,6 +66,8 @@ class ClearSpace:
         Args:
             q: rad, chain order. Shape (n, 7).
         """
+        if self._inside is not None and (outside := self._inside(q)) is not None:
+            return outside
         for index, row in enumerate(q):
             self._data.qpos[self._qpos] = row
             mujoco.mj_kinematics(self._model, self._data)
@@ -66,7 +76,8 @@ class ClearSpace:
             for contact in self._data.contact[: self._data.ncon]:
                 first, second = map(int, contact.geom)
                 if contact.dist < self._clearance and not self._built_together(first, second):
-                    return index, f"{self._name(first)} and {self._name(second)}"
+                    pair = f"{self._name(first)} and {self._name(second)}"
+                    return index, f"{pair} are too near each other"
         return None
 
     def _built_together(self, first: int, second: int) -> bool:

@@ -106,7 +106,7 @@ class Excitation:
         touch = space.first_touch(centre[None])
         if touch is not None:
             raise ConfigurationError(
-                f"at the centre of the excitation {touch[1]} are too near each other; give another"
+                f"the centre of the excitation is not clear: {touch[1]}; give another"
             )
         shapes = _shapes(self, limits, _reach(centre))
         scale = _joint_scales(shapes, limits, np.minimum(room, self.excursion))
@@ -119,8 +119,8 @@ class Excitation:
                 return JointTrajectory(q, v, a)
             scale = scale * _SHRINK
         raise ConfigurationError(
-            f"no room for an excitation around {centre.round(3).tolist()}: {touch[1]} "  # type: ignore[index]
-            "are too near each other; give another centre or a smaller excursion"
+            f"no room for an excitation around {centre.round(3).tolist()}: {touch[1]}; "  # type: ignore[index]
+            "give another centre or a smaller excursion"
         )
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from calibrations import clear_centre
 
 from skewmi.calibration.clear_space import CLEARANCE, ClearSpace, Obstacle
 from skewmi.calibration.excitation import REST_S, Excitation
+from skewmi.calibration.excitation_choice import excitation_centre
 from skewmi.deploy.safety import limits as checks
 from skewmi.deploy.safety.guard import Guard
 from skewmi.errors import ConfigurationError
@@ -34,7 +34,7 @@ def test_it_is_within_all_limits_clear_and_at_rest_at_its_ends(
     name: str, seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rng = np.random.default_rng(seed)
-    centre = clear_centre() + rng.uniform(-0.1, 0.1, 7)
+    centre = excitation_centre() + rng.uniform(-0.1, 0.1, 7)
     seconds = float(rng.uniform(4.0, 9.0))
     motion = Excitation(seconds, seed).motion(centre, limits.profile(name), SPACE)
     usage = checked(motion, name, monkeypatch)
@@ -51,26 +51,26 @@ def test_it_is_within_all_limits_clear_and_at_rest_at_its_ends(
 
 def test_it_is_what_its_seed_says_and_other_joints_do_not_change_a_joint() -> None:
     profile = limits.profile("lab")
-    first = Excitation(5.0, 3).motion(clear_centre(), profile, SPACE)
-    again = Excitation(5.0, 3).motion(clear_centre(), profile, SPACE)
-    other = Excitation(5.0, 4).motion(clear_centre(), profile, SPACE)
+    first = Excitation(5.0, 3).motion(excitation_centre(), profile, SPACE)
+    again = Excitation(5.0, 3).motion(excitation_centre(), profile, SPACE)
+    other = Excitation(5.0, 4).motion(excitation_centre(), profile, SPACE)
     np.testing.assert_array_equal(first.q, again.q)
     assert np.abs(first.q - other.q).max() > 0.01
     wrist = Excitation(5.0, 3, joints=(False,) * 6 + (True,))
-    alone = wrist.motion(clear_centre(), profile, SPACE)
-    np.testing.assert_array_equal(alone.q[:, :6], np.tile(clear_centre()[:6], (len(alone), 1)))
+    alone = wrist.motion(excitation_centre(), profile, SPACE)
+    np.testing.assert_array_equal(alone.q[:, :6], np.tile(excitation_centre()[:6], (len(alone), 1)))
     assert np.corrcoef(alone.q[:, 6], first.q[:, 6])[0, 1] > 0.999
 
 
 def test_it_shrinks_before_an_obstacle_and_keeps_clear_of_it() -> None:
     profile = limits.profile("lab")
-    free = Excitation(5.0, 0).motion(clear_centre(), profile, SPACE)
+    free = Excitation(5.0, 0).motion(excitation_centre(), profile, SPACE)
     # Below the finger tips, 8 mm further off at the centre than the arm keeps clear of it.
     top = float(KINEMATICS.forward(free.q[0])[0][2]) - 0.136 - CLEARANCE - 0.008
     box = Obstacle((0.39, -0.13, top / 2.0), (0.1, 0.1, top / 2.0))
     space = ClearSpace((box,))
     assert space.first_touch(free.q[::5]) is not None
-    motion = Excitation(5.0, 0).motion(clear_centre(), profile, space)
+    motion = Excitation(5.0, 0).motion(excitation_centre(), profile, space)
     assert space.first_touch(motion.q) is None
     assert 0.05 < np.ptp(motion.q[:, 0]) / np.ptp(free.q[:, 0]) < 1.0
 
@@ -79,7 +79,7 @@ def test_places_without_room_are_refused() -> None:
     profile = limits.profile("lab")
     inside = Obstacle((0.39, -0.13, 0.3), (0.1, 0.1, 0.1))
     with pytest.raises(ConfigurationError, match="obstacle_0"):
-        Excitation(5.0).motion(clear_centre(), profile, ClearSpace((inside,)))
+        Excitation(5.0).motion(excitation_centre(), profile, ClearSpace((inside,)))
     with pytest.raises(ConfigurationError, match="inside the limits"):
         Excitation(5.0).motion(profile.position_upper + 0.1, profile, SPACE)
 
