@@ -56,13 +56,23 @@ def check_agreement(
             f"({', '.join(h[:12] for h in server.layout_hashes)}); it was exported with another "
             "version of the task: train or export it again"
         )
-    ours = yumi.MODEL_HASH
-    for whose, model in (("policy", robot_model_hash), ("robot server", server.robot_model_hash)):
-        if model is not None and model != ours:
-            raise LayoutMismatchError(
-                f"the {whose} uses robot model {model[:12]}, this skewmi has {ours[:12]}; "
-                "export the policy again with this version, or run both sides with one version"
-            )
+    _check_model("policy", robot_model_hash)
+    check_robot(limits, server)
+
+
+def check_robot(limits: JointLimits, server: RobotDescription) -> None:
+    """Refuse to move a robot that is another one than this version's, whoever decides on motion.
+
+    Args:
+        limits: That the session plans with.
+        server: What the robot server says about itself.
+
+    Raises:
+        LayoutMismatchError: The robot models differ.
+        ConfigurationError: The session would plan beyond the robot server's limits, or their grids
+            or joints differ.
+    """
+    _check_model("robot server", server.robot_model_hash)
     if server.joint_names != yumi.joint_names("right"):
         raise ConfigurationError(f"the robot server has other joints: {server.joint_names}")
     if server.grid_ns != GRID_NS or server.state_period_ns != CYCLE_NS:
@@ -71,6 +81,15 @@ def check_agreement(
             f"{server.state_period_ns} ns; this session needs {GRID_NS} and {CYCLE_NS}"
         )
     _check_limits(limits, server)
+
+
+def _check_model(whose: str, model: str | None) -> None:
+    ours = yumi.MODEL_HASH
+    if model is not None and model != ours:
+        raise LayoutMismatchError(
+            f"the {whose} uses robot model {model[:12]}, this skewmi has {ours[:12]}; "
+            "export the policy again with this version, or run both sides with one version"
+        )
 
 
 def _check_limits(limits: JointLimits, server: RobotDescription) -> None:

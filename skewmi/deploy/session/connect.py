@@ -8,7 +8,7 @@ from collections.abc import Callable
 from skewmi.deploy.motion.planner import Planner
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.report import DeployReport
-from skewmi.deploy.robot.description import FLANGE_SPEED, RobotDescription
+from skewmi.deploy.robot.description import FLANGE_SPEED
 from skewmi.deploy.safety.checks import ChunkChecks
 from skewmi.deploy.safety.limits import TCP_SPEED_LIMIT
 from skewmi.deploy.session.agreement import check_agreement, check_pace
@@ -25,14 +25,13 @@ from skewmi.deploy.session.session import Session
 from skewmi.deploy.session.states import SessionEvent
 from skewmi.deploy.session.status import SessionStatus
 from skewmi.deploy.session.steadiness import TooBusyError, check_steadiness
-from skewmi.deploy.session.stream import ChunkStream
+from skewmi.deploy.session.stream import ChunkStream, lead_of
 from skewmi.deploy.session.timing import CycleTimes
 from skewmi.deploy.session.trust import Trust
 from skewmi.deploy.session.warm_up import Rehearsal, warm_up
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.transport import Link
 from skewmi.policy_io import Policy
-from skewmi.trajectory import GRID_NS
 
 
 def connect(
@@ -87,7 +86,7 @@ def connect(
         checks.stages,
         times,
         lock_step=options.lock_step,
-        lead_ns=round(options.lead_ms * 1e6) + _late_by_cycle_ns(described),
+        lead_ns=lead_of(options.lead_ms, described.cycle_ns),
     )
     loop = ControlLoop(robot, observer, stream, times, status, stop, lock_step=options.lock_step)
     planner = Planner(workspace, limits, flange_speed=flange_speed)
@@ -107,12 +106,6 @@ def connect(
     can_wait = can_wait and options.live is None
     status.fire(SessionEvent.CONNECTED, f"{described.backend} robot, {described.task}")
     return Session(options, episodes, status, trust, stream, times, report, stop, can_wait, tell)
-
-
-def _late_by_cycle_ns(described: RobotDescription) -> int:
-    """How much later than the grid a robot with a cycle of its own may tell its state, in steps."""
-    cycle_ns = described.cycle_ns
-    return 0 if GRID_NS % cycle_ns == 0 else -(-cycle_ns // GRID_NS) * GRID_NS
 
 
 def _watch_pace(

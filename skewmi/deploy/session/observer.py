@@ -61,7 +61,7 @@ class Observer:
         joints: Of `topics.YUMI_JOINT_STATES`, of the robot server alone. It keeps all.
         decoder: Finds the arm in them.
         scene: What is known of the scene.
-        layout: Of the policy.
+        layout: Of the policy; None if there is none, and nobody asks for observations.
         lock_step: Take every state in order, however old, instead of the newest.
         state_period_s: How often the robot server publishes, s.
         max_age_s: Of a joint state, before the arm stops, s; see `allowed_age_s`.
@@ -72,7 +72,7 @@ class Observer:
         joints: LatestReader,
         decoder: ArmStateDecoder,
         scene: SceneStates,
-        layout: PolicyLayout,
+        layout: PolicyLayout | None,
         *,
         lock_step: bool,
         state_period_s: float,
@@ -92,7 +92,7 @@ class Observer:
     @staticmethod
     def open(
         link: Link,
-        layout: PolicyLayout,
+        layout: PolicyLayout | None,
         server: RobotDescription,
         senders: Senders,
         lead_s: float,
@@ -101,7 +101,7 @@ class Observer:
 
         Args:
             link: To the robot server.
-            layout: Of the policy.
+            layout: Of the policy; without one nothing of the scene has to be known.
             server: What the robot server says about itself and its scene.
             senders: Who is believed.
             lead_s: From a state to the motion that answers it, s.
@@ -117,7 +117,7 @@ class Observer:
             SceneStates(
                 scene,
                 server.scene_fields,
-                layout.observation_names,
+                () if layout is None else layout.observation_names,
                 lock_step=lock_step,
                 max_age_s=max(MAX_SCENE_AGE_S, allowed_age_s(lead_s) + _SCENE_AFTER_S),
             ),
@@ -224,6 +224,7 @@ class Observer:
             hand_position_w: Of `state`, from `hand_position`.
             step: Index of the control step within the episode.
         """
+        assert self._layout is not None, "opened without a layout"
         values: dict[str, float] = {
             "hand_x": hand_position_w[0],
             "hand_y": hand_position_w[1],

@@ -38,6 +38,18 @@ _WARM_SAMPLES = 120
 """Chunks of the named limit profiles are shorter: 20 ms and a stop of at most 0.4 s."""
 
 
+def lead_of(lead_ms: float, cycle_ns: int) -> int:
+    """From a state to the motion that answers it, ns.
+
+    Args:
+        lead_ms: As the user has it, ms.
+        cycle_ns: Of the robot: one with a cycle of its own may tell its state by so much later
+            than the grid, in whole steps.
+    """
+    late_ns = 0 if GRID_NS % cycle_ns == 0 else -(-cycle_ns // GRID_NS) * GRID_NS
+    return round(lead_ms * 1e6) + late_ns
+
+
 class ChunkStream:
     """Sends chunks in the robot server's time.
 

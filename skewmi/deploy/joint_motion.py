@@ -1,0 +1,262 @@
+"""Move the joints as a motion says that is known beforehand, and record what they do.
+
+`run_joint_motion` is to `skewmi calibrate excite` what `run.run_deploy` is to `skewmi deploy`: it
+starts the simulated robot if none is named, records beside the hot loop, and ends at rest.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from skewmi.deploy.recording.reader import run_metadata
+from skewmi.deploy.recording.recorder import Recorder
+from skewmi.deploy.robot.description import FLANGE_SPEED, RobotDescription, limit_values
+from skewmi.deploy.robot.process import spawn_robot
+from skewmi.deploy.safety.checks import SpaceChecks
+from skewmi.deploy.safety.flange_space import CALIBRATION, FlangeSpace
+from skewmi.deploy.safety.limits import TCP_SPEED_LIMIT, LimitUsage
+from skewmi.deploy.safety.obstacles import scene_obstacles
+from skewmi.deploy.session.agreement import check_pace, check_robot
+from skewmi.deploy.session.approach import Approach
+from skewmi.deploy.session.control_loop import ControlLoop
+from skewmi.deploy.session.joint_run import JointRun
+from skewmi.deploy.session.observer import Observer
+from skewmi.deploy.session.robot_client import RobotClient
+from skewmi.deploy.session.states import SessionEvent
+from skewmi.deploy.session.status import SessionStatus
+from skewmi.deploy.session.stream import ChunkStream, lead_of
+from skewmi.deploy.session.timing import CycleTimes
+from skewmi.deploy.session.trust import Trust
+from skewmi.deploy.wire import topics
+from skewmi.deploy.wire.scene_geometry import SceneGeometry
+from skewmi.deploy.wire.transport import Link, TransportConfig
+from skewmi.errors import ConfigurationError, TransportError
+from skewmi.robot_models import limits as joint_limits
+from skewmi.robot_models import yumi
+from skewmi.robot_models.obstacle import Obstacle
+from skewmi.trajectory import JointTrajectory
+
+NODE_NAME = "skewmi_calibrate"
+
+Plan = Callable[[RobotDescription], JointTrajectory]
+"""What the robot server says of itself and its scene -> the motion."""
+
+
+@dataclass(frozen=True)
+class JointMotionOptions:
+    """How to move; as `options.DeployOptions` of the same names."""
+
+    task: str
+    """Of the simulated robot that is started."""
+    connect: str | None = None
+    zenoh_config: Path | None = None
+    variation: str | None = None
+    domain: int = 0
+    lock_step: bool = False
+    limits: str = "lab"
+    lead_ms: float = 24.0
+    record: Path | None = None
+    overwrite: bool = False
+    dry_run: bool = False
+    """Plan, and leave the arm where it is."""
+    metadata: dict[str, str] = field(default_factory=dict)
+    """More for the recording."""
+
+
+@dataclass
+class JointMotionReport:
+    """What happened."""
+
+    usage: LimitUsage = field(default_factory=LimitUsage)
+    """Largest use of each limit over everything that was sent, stops included."""
+    missed_cycles: int = 0
+    cycles: int = 0
+    stops: list[str] = field(default_factory=list)
+    """Why it was stopped; empty if it was not."""
+    notes: list[str] = field(default_factory=list)
+    file: str | None = None
+    """The recording, if it is whole."""
+    interrupted: bool = False
+
+
+def calibration_space(described: RobotDescription) -> tuple[FlangeSpace, tuple[Obstacle, ...]]:
+    """Where a robot server lets the joints be moved for calibration, and what stands there.
+
+    Raises:
+        ConfigurationError: Nowhere.
+    """
+    if CALIBRATION not in described.workspaces:
+        raise ConfigurationError(
+            f"the robot server ({described.backend}) gives no workspace {CALIBRATION!r}: it does "
+            "not know the scene's shapes, or there is no room above them"
+        )
+    space = FlangeSpace.from_numbers(CALIBRATION, described.workspaces[CALIBRATION])
+    return space, scene_obstacles(SceneGeometry.from_json(described.scene).parts)
+
+
+def run_joint_motion(
+    plan: Plan,
+    options: JointMotionOptions,
+    *,
+    stop: threading.Event | None = None,
+    on_event: Callable[[str], None] | None = None,
+) -> JointMotionReport:
+    """Carry out a motion in the calibration workspace.
+
+    Args:
+        plan: Makes the motion.
+        options: Of which robot, how fast.
+        stop: Set it from anywhere to bring the arm smoothly to rest.
+        on_event: Told in words what happens, for progress.
+
+    Returns:
+        What happened. Trouble during the motion is in the report, not raised.
+
+    Raises:
+        TransportError: No robot server answers, or the simulated one does not start.
+        ConfigurationError: Limits or pace of the robot server differ.
+        SkewmiError: What `plan` raises.
+    """
+    stop = threading.Event() if stop is None else stop
+    tell = (lambda text: None) if on_event is None else on_event
+    report = JointMotionReport()
+    with _robot_server(options, tell) as locator:
+        config = TransportConfig.for_client(
+            locator,
+            domain=options.domain,
+            lock_step=options.lock_step,
+            zenoh_config=options.zenoh_config,
+        )
+        with Link.open(config, NODE_NAME) as link:
+            link.wait_for_robot(5.0)
+            _on_link(plan, options, link, config, report, stop, tell)
+    report.interrupted = stop.is_set()
+    return report
+
+
+def _robot_server(
+    options: JointMotionOptions, tell: Callable[[str], None]
+) -> AbstractContextManager[str | None]:
+    if options.connect is not None or options.zenoh_config is not None:
+        return nullcontext(options.connect)
+    tell("starting the simulated robot in its own process")
+    return spawn_robot(
+        "sim",
+        options.task,
+        options.limits,
+        lock_step=options.lock_step,
+        variation=options.variation,
+        domain=options.domain,
+    )
+
+
+def _on_link(
+    plan: Plan,
+    options: JointMotionOptions,
+    link: Link,
+    config: TransportConfig,
+    report: JointMotionReport,
+    stop: threading.Event,
+    tell: Callable[[str], None],
+) -> None:
+    limits = joint_limits.profile(options.limits)
+    told = link.publisher(topics.YUMI_STATUS)
+    commands, gripper = link.publisher(topics.YUMI_TRAJECTORY), link.publisher(topics.YUMI_GRIPPER)
+    own = {
+        topics.YUMI_STATUS.name: (told.gid,),
+        topics.YUMI_TRAJECTORY.name: (commands.gid,),
+        topics.YUMI_GRIPPER.name: (gripper.gid,),
+    }
+    status, trust = SessionStatus(told), Trust(link, own, None)
+    trust.on_stranger = status.tell_strangers
+    robot = RobotClient.open(link, trust, commands, gripper, dry_run=False)
+    described = trust.meet(with_scene=True)
+    check_pace(described, lock_step=options.lock_step)
+    check_robot(limits, described)
+    trajectory = plan(described)
+    if options.dry_run:
+        return
+    observer = Observer.open(link, None, described, trust.senders, options.lead_ms / 1e3)
+    flange_speed = min(described.limits.get(FLANGE_SPEED, (TCP_SPEED_LIMIT,))[0], TCP_SPEED_LIMIT)
+    times = CycleTimes()
+    checks = SpaceChecks(limits, *calibration_space(described), flange_speed)
+    stream = ChunkStream(
+        robot.put_chunk,
+        described.joint_names,
+        checks.stages,
+        times,
+        lock_step=options.lock_step,
+        lead_ns=lead_of(options.lead_ms, described.cycle_ns),
+    )
+    loop = ControlLoop(robot, observer, stream, times, status, stop, lock_step=options.lock_step)
+    run = JointRun(
+        robot,
+        CALIBRATION,
+        observer,
+        stream,
+        loop,
+        Approach(loop, stream, limits, flange_speed),
+        checks.stages,
+        limits,
+        status,
+        stop,
+        lock_step=options.lock_step,
+        tell=tell,
+    )
+    stream.warm_up()
+    status.fire(SessionEvent.CONNECTED, f"{described.backend} robot")
+    with _recording(options, described, link, trust, config, report):
+        report.stops = run.run(trajectory)
+    report.usage = stream.usage
+    report.missed_cycles, report.cycles = stream.missed_cycles, times.cycles
+
+
+@contextmanager
+def _recording(
+    options: JointMotionOptions,
+    described: RobotDescription,
+    link: Link,
+    trust: Trust,
+    config: TransportConfig,
+    report: JointMotionReport,
+) -> Iterator[None]:
+    if options.record is None:
+        yield
+        return
+    limits = joint_limits.profile(options.limits)
+    metadata = run_metadata(
+        limits=limit_values(limits),
+        scene=described.scene or None,
+        task=described.task,
+        backend=described.backend,
+        limit_profile=limits.name,
+        robot_model_hash=yumi.MODEL_HASH,
+        **options.metadata,
+    )
+    recorder = Recorder.start(
+        options.record,
+        replace(config, lock_step=False),
+        metadata,
+        believed=trust.believed,
+        overwrite=options.overwrite,
+    )
+    trust.on_believed.append(recorder.believe)
+    link.call(topics.YUMI_DESCRIBE, 5.0, only=trust.server)
+    try:
+        yield
+    except BaseException:
+        with suppress(TransportError):
+            recorder.close()
+        raise
+    try:
+        summary = recorder.close()
+    except TransportError as error:
+        report.notes.append(str(error))
+        return
+    report.file = str(summary.path)
+    if summary.missed:
+        report.notes.append(f"the recording lacks {summary.missed} messages")

@@ -1,0 +1,229 @@
+"""Carries out a motion of the joints that is known beforehand, in a workspace made for it.
+
+Preflight, the way to where the motion begins, the motion, and the way back: everything is checked
+before the arm is moved, every chunk once more before it is sent, and every chunk ends at rest.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from skewmi.deploy.motion.path_motion import PathMotion
+from skewmi.deploy.motion.start_motion import StartMotion
+from skewmi.deploy.realtime import hot_loop
+from skewmi.deploy.safety.checks import Check
+from skewmi.deploy.session.approach import Approach
+from skewmi.deploy.session.arm_state import ArmState
+from skewmi.deploy.session.control_loop import ControlLoop
+from skewmi.deploy.session.interrupt import StopRequestedError, check_interrupt
+from skewmi.deploy.session.observer import Observer
+from skewmi.deploy.session.readiness import wait_until_ready
+from skewmi.deploy.session.refused import LateChunkError
+from skewmi.deploy.session.robot_client import RobotClient
+from skewmi.deploy.session.states import SessionEvent
+from skewmi.deploy.session.status import SessionStatus
+from skewmi.deploy.session.stream import ChunkStream
+from skewmi.deploy.session.timing import BUSY_ADVICE
+from skewmi.errors import CommandRefusedError, SkewmiError, TransportError
+from skewmi.policy_io import Array
+from skewmi.robot_models.limits import JointLimits
+from skewmi.trajectory import CYCLE_TICKS, JointPoint, JointTrajectory
+
+ATTEMPTS = 3
+"""How often the motion is begun; again after a chunk that came too late."""
+
+_NEVER_NS = 1 << 62
+_AT_ONCE = 10
+"""Samples that the guard looks at together."""
+
+
+class JointRun:
+    """One motion, from preflight to rest.
+
+    Args:
+        robot: To arm.
+        workspace: Name of the one to ask for.
+        observer: Where states come from.
+        stream: Where chunks go to.
+        loop: Carries motions out.
+        approach: Moves the arm to where the motion begins, and back.
+        stages: Checks that every chunk has to pass.
+        limits: That motion is planned with.
+        status: Told what happens.
+        stop: Set from outside to end the run.
+        lock_step: Whether the robot waits.
+        tell: Told in words what happens.
+    """
+
+    def __init__(
+        self,
+        robot: RobotClient,
+        workspace: str,
+        observer: Observer,
+        stream: ChunkStream,
+        loop: ControlLoop,
+        approach: Approach,
+        stages: Sequence[tuple[str, Check]],
+        limits: JointLimits,
+        status: SessionStatus,
+        stop: threading.Event,
+        *,
+        lock_step: bool,
+        tell: Callable[[str], None],
+    ) -> None:
+        self._robot, self._workspace = robot, workspace
+        self._observer, self._stream, self._loop = observer, stream, loop
+        self._approach, self._stages, self._limits = approach, stages, limits
+        self._status, self._stop, self._tell = status, stop, tell
+        self._lock_step = lock_step
+
+    def run(self, trajectory: JointTrajectory) -> list[str]:
+        """Carry it out; the arm goes back to where it was.
+
+        Args:
+            trajectory: From rest to rest, within the limits.
+
+        Returns:
+            Why it was stopped, if it was; nothing if it was not. Whatever ends it, nothing has been
+            sent since.
+        """
+        stops: list[str] = []
+        try:
+            with hot_loop(priority=not self._lock_step):
+                self._carry_out(trajectory)
+        except StopRequestedError as error:
+            stops.append(str(error))
+            self._status.fire(SessionEvent.STOP, str(error))
+        except TransportError as error:
+            stops.append(str(error))
+            self._status.fire(SessionEvent.FAULT, str(error))
+        except SkewmiError as error:
+            stops.append(str(error))
+            self._status.fire(SessionEvent.STOP, str(error))
+        else:
+            self._status.fire(SessionEvent.TIME_OVER, "the motion is over")
+        try:
+            self._robot.disarm()
+        except SkewmiError as error:
+            stops.append(str(error))
+            self._status.fire(SessionEvent.FAULT, str(error))
+        self._status.fire(SessionEvent.AT_REST, "after a motion of the joints")
+        self._status.fire(SessionEvent.FINISH, "the run is over")
+        return stops
+
+    def _carry_out(self, trajectory: JointTrajectory) -> None:
+        """Raises SkewmiError for whatever ends it early."""
+        check_interrupt(self._stop)
+        self._robot.meet()
+        wait_until_ready(self._robot, self._stop, dry_run=False)
+        # Looked at before arming: who holds an arm must not be silent for as long as that takes.
+        motion = PathMotion(trajectory, self._limits)
+        self._check(trajectory)
+        self._check_way(self._resting(), trajectory.q[0])
+        self._robot.arm(workspace=self._workspace)
+        q_before = self._resting()
+        # Nobody can have moved the arm by more than a little meanwhile.
+        self._check_way(q_before, trajectory.q[0])
+        self._status.fire(SessionEvent.READY, "the whole motion is free")
+        state = self._observer.fresh_state()
+        self._tell("moving to where the motion begins")
+        state = self._approach.run(trajectory.q[0], q_before, state)
+        self._status.fire(SessionEvent.AT_START, "the arm rests where the motion begins")
+        self._tell(f"moving for {trajectory.duration_s:.0f} s")
+        state = self._follow(motion, state)
+        self._tell("moving back")
+        self._approach.run(q_before, trajectory.q[-1], state)
+
+    def _resting(self) -> Array:
+        """Where the robot server holds the arm, rad."""
+        description = self._robot.describe()
+        self._status.clock_ns = description.clock_ns
+        return np.array(description.commanded_position)
+
+    def _check_way(self, q: Array, q_goal: Array) -> None:
+        self._check(StartMotion(q, q_goal, self._limits).trajectory)
+
+    def _check(self, trajectory: JointTrajectory) -> None:
+        """Look at a motion before any of it is sent.
+
+        Raises:
+            LimitViolationError: It leads through something, or asks for too much torque.
+        """
+        guard = dict(self._stages)["guard"]
+        for first in range(0, len(trajectory), _AT_ONCE):
+            check_interrupt(self._stop)
+            rows = trajectory.part(slice(first, first + _AT_ONCE + 1))
+            start = JointPoint(rows.q[0], np.zeros(7), np.zeros(7))
+            guard(rows, start, start.q[None])
+
+    def _follow(self, motion: PathMotion, state: ArmState) -> ArmState:
+        """Carry the motion out from its beginning.
+
+        Returns:
+            The newest state, with the arm at rest at its end.
+
+        Raises:
+            CommandRefusedError: It came too late `ATTEMPTS` times.
+            SkewmiError: Whatever else ends it.
+        """
+        way = KnownMotion(motion, self._stream)
+        q = motion.trajectory.q[0]
+        for attempt in range(ATTEMPTS):
+            if attempt:
+                self._tell("a chunk came too late: the motion begins anew")
+                state = self._approach.run(motion.trajectory.q[0], q, state)
+                q = motion.trajectory.q[0]
+            try:
+                state = self._loop.run(way, q, state)
+                if not way.late:
+                    return state
+                q, state = self._loop.coast(state)
+            except LateChunkError:
+                q, state = self._loop.recover()
+        raise CommandRefusedError(f"{ATTEMPTS} motions came too late; {BUSY_ADVICE}")
+
+
+class KnownMotion:
+    """A `PathMotion` for the control loop; each `begin` is a new attempt.
+
+    Args:
+        motion: What to do.
+        stream: Knows when the arm rests.
+
+    Attributes:
+        late: Whether the attempt was given up because a chunk would have been late.
+    """
+
+    def __init__(self, motion: PathMotion, stream: ChunkStream) -> None:
+        self._motion = motion
+        self._stream = stream
+        self.late = False
+
+    def begin(self, q: Array, state: ArmState) -> None:
+        """See `Motion`: from its beginning."""
+        del q, state
+        self._cycle, self._rest_ns, self.late = 0, _NEVER_NS, False
+
+    def is_over(self, state: ArmState) -> bool:
+        """Whether the arm has followed it to its end."""
+        if self._cycle >= self._motion.cycles:
+            # Chunks that rest follow: in lock-step time passes only while something is sent.
+            self._rest_ns = min(self._rest_ns, self._stream.rest_ns)
+        return state.stamp_ns >= self._rest_ns
+
+    def next_chunk(self, state: ArmState, splice: int) -> JointTrajectory | None:
+        """The next part of the motion."""
+        del state
+        if splice != CYCLE_TICKS:
+            # The stop has begun: it is on the path, but the motion's time has gone on without it.
+            self.late = True
+            return None
+        chunk = self._motion.chunk(self._cycle)
+        self._cycle += 1
+        return chunk
+
+    def after_sending(self, state: ArmState) -> None:
+        """Nothing waits."""
