@@ -10,10 +10,8 @@ SIGHUP.
 from __future__ import annotations
 
 import json
-import signal
-import threading
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -25,7 +23,7 @@ from rich.table import Table
 
 from skewmi import policies
 from skewmi.cli import numbers
-from skewmi.cli.interrupt import signals_to_handle
+from skewmi.cli.interrupt import stop_on_signal
 from skewmi.cli.robot_flags import RobotName
 from skewmi.cli.task_flags import variation_option
 from skewmi.contact import QUANTITIES
@@ -105,7 +103,7 @@ def deploy_policy(options: DeployCommand) -> DeployReport:
         with suppress(OSError):  # The terminal may be gone; the arm comes first.
             console.print(text, highlight=False, markup=False)
 
-    with _stop_on_interrupt() as stop:
+    with stop_on_signal() as stop:
         return deploy_run.run_deploy(
             policy,
             DeployOptions(
@@ -211,26 +209,3 @@ def _contact_words(name: str, metrics: Mapping[str, float]) -> str:
     label, _, unit = QUANTITIES[name].label.removesuffix("]").partition(" [")
     of_limit = f" of {metrics['limit']:.0f}" if "limit" in metrics else ""
     return f"{label} {metrics['max']:.1f}{of_limit} {unit}"
-
-
-@contextmanager
-def _stop_on_interrupt() -> Iterator[threading.Event]:
-    """An event that the first Ctrl-C, SIGTERM or SIGHUP sets; a second one ends the process."""
-    stop = threading.Event()
-    before = {number: signal.getsignal(number) for number in signals_to_handle()}
-
-    def restore() -> None:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-    def handle(number: int, frame: object) -> None:
-        del number, frame
-        restore()
-        stop.set()
-
-    for number in before:
-        signal.signal(number, handle)
-    try:
-        yield stop
-    finally:
-        restore()
