@@ -53,8 +53,9 @@ class Excite:
     """Robot server and session wait for each other: as fast as possible and repeatable."""
     limits: str = "lab"
     """Joint limit profile: lab (30 s tell enough) or careful (60 s or more)."""
-    lead_ms: float = 24.0
-    """Time from a robot state to the motion that answers it, ms, a multiple of 4 in 8..100."""
+    lead_ms: float = 100.0
+    """How long before they are due commands are sent, ms, a multiple of 4 in 8..100: what a busy
+    computer may need; here nothing has to be answered fast."""
     seconds: float = 60.0
     """Length of the motion, s, 10..600."""
     seed: int = 0
@@ -134,10 +135,14 @@ def _checked(options: Excite) -> Excitation:
     limits = joint_limits.profile(options.limits)
     numbers.require_seed(options.seed)
     numbers.require("--seconds", options.seconds, LEAST_SECONDS.get(limits.name, 10.0), 600.0)
-    if options.connect is not None and options.zenoh_config is None and options.variation:
+    if not (8.0 <= options.lead_ms <= 100.0 and (options.lead_ms / 4.0).is_integer()):
+        raise ConfigurationError(
+            f"--lead-ms is {options.lead_ms}; it must be a multiple of 4 in 8..100"
+        )
+    if (options.connect or options.zenoh_config) is not None and options.variation:
         raise ConfigurationError(
             "--variation is of the simulated robot that is started; give it to the skewmi robot "
-            "that --connect names"
+            "that --connect or --zenoh-config names"
         )
     if not options.dry_run:
         check_output(options.out, overwrite=options.overwrite, inputs=[options.zenoh_config])

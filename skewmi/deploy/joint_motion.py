@@ -42,6 +42,10 @@ from skewmi.trajectory import JointTrajectory
 
 NODE_NAME = "skewmi_calibrate"
 
+ARRIVED = 0.1
+"""Largest joint error at the end of a way, rad: an arm that is yet to be calibrated may be held off
+by friction, and nothing is touched here. The robot server faults at less than twice as much."""
+
 Plan = Callable[[RobotDescription], JointTrajectory]
 """What the robot server says of itself and its scene -> the motion."""
 
@@ -58,7 +62,8 @@ class JointMotionOptions:
     domain: int = 0
     lock_step: bool = False
     limits: str = "lab"
-    lead_ms: float = 24.0
+    lead_ms: float = 100.0
+    """Nothing has to be answered fast: as long as a busy computer may need."""
     record: Path | None = None
     overwrite: bool = False
     dry_run: bool = False
@@ -199,7 +204,7 @@ def _on_link(
         observer,
         stream,
         loop,
-        Approach(loop, stream, limits, flange_speed),
+        Approach(loop, stream, limits, flange_speed, ARRIVED),
         checks.stages,
         limits,
         status,

@@ -33,6 +33,7 @@ class Approach:
         stream: Where its chunks go to.
         limits: To keep.
         flange_speed: That the robot admits, m/s.
+        reached: Largest joint error at which the arm has arrived, rad.
     """
 
     def __init__(
@@ -41,7 +42,9 @@ class Approach:
         stream: ChunkStream,
         limits: JointLimits,
         flange_speed: float = TCP_SPEED_LIMIT,
+        reached: float = REACHED,
     ) -> None:
+        self._reached = reached
         self._flange_speed = flange_speed
         self._loop = loop
         self._stream = stream
@@ -68,7 +71,7 @@ class Approach:
             try:
                 state = self._loop.run(way, q, state)
                 if not way.late:
-                    _check_arrived(state.q, q_goal)
+                    _check_arrived(state.q, q_goal, self._reached)
                     return state
                 q, state = self._loop.coast(state)
             except LateChunkError:
@@ -127,20 +130,21 @@ class _Way:
         """Nothing waits."""
 
 
-def _check_arrived(q: Array, q_goal: Array) -> None:
+def _check_arrived(q: Array, q_goal: Array, reached: float) -> None:
     """Refuse to go on from somewhere else than the start of the episode.
 
     Args:
         q: Measured, rad. Shape (7,).
         q_goal: Where the arm was to go, rad. Shape (7,).
+        reached: Largest error that is allowed, rad.
 
     Raises:
-        CommandRefusedError: A joint is more than `REACHED` away.
+        CommandRefusedError: A joint is more than `reached` away.
     """
     error = float(np.abs(q - q_goal).max())
-    if error > REACHED:
+    if error > reached:
         raise CommandRefusedError(
             f"the arm stands {error:.3f} rad from the start configuration; "
-            f"at most {REACHED} rad are allowed: is something in its way, or were "
+            f"at most {reached} rad are allowed: is something in its way, or were "
             "commands lost?"
         )
