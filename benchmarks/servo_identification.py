@@ -12,7 +12,12 @@ they may (`inertia_uncertainty`): only the ratios to stiffness are to be right.
 from __future__ import annotations
 
 import argparse
+import json
 import time
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -30,6 +35,9 @@ from skewmi.calibration.servo_identification import (
     position_rms,
 )
 from skewmi.calibration.servo_model import DelayedServo, ServoModel
+from skewmi.calibration.servo_recording import ServoRecording
+from skewmi.cli.calibrate_recordings import read_excitation
+from skewmi.cli.main import main as skewmi_command
 from skewmi.robot_models import limits
 from skewmi.sim.arm.servos import CONTACT_SERVO
 from skewmi.trajectory import Array, JointTrajectory
@@ -50,10 +58,19 @@ def one_robot(args: argparse.Namespace, number: int) -> dict[str, Any]:
     robot = DrawnRobot.draw(rng)
     mass_scale = 1.0 + float(rng.uniform(-args.mass_error, args.mass_error))
     seed = args.seed + 2 * number
-    recording, held_out = (
-        robot.record(motion(args, length, s), args.noise, s, mass_scale=mass_scale)
-        for length, s in ((args.seconds, seed), (HELD_OUT_S, seed + 1))
-    )
+    lengths = ((args.seconds, seed), (HELD_OUT_S, seed + 1))
+    excited = time.perf_counter()
+    if args.deployed:
+        recording, held_out = (
+            deployed(args, robot.variation(args.noise, s, mass_scale), length, s)
+            for length, s in lengths
+        )
+    else:
+        recording, held_out = (
+            robot.record(motion(args, length, s), args.noise, s, mass_scale=mass_scale)
+            for length, s in lengths
+        )
+    excited = time.perf_counter() - excited
     model = ServoModel(CONTACT_SERVO.kd / CONTACT_SERVO.kp, threads=args.threads)
     begin, worked = time.perf_counter(), time.process_time()
     found = identify_servos(
@@ -70,6 +87,7 @@ def one_robot(args: argparse.Namespace, number: int) -> dict[str, Any]:
     ]
     return errors(found, truth(robot)) | {
         "delay_ms": robot.delay_ms,
+        "seconds_of_exciting_both": excited,
         "mass_scale": mass_scale,
         "residual_rms_rad": found.residual_rms,
         "residual_autocorrelation": found.autocorrelation_time,
@@ -80,6 +98,23 @@ def one_robot(args: argparse.Namespace, number: int) -> dict[str, Any]:
         # Of all threads: what a machine that others use does not change much.
         "seconds_of_processor": work,
     }
+
+
+def deployed(
+    args: argparse.Namespace, variation: dict[str, Any], seconds: float, seed: int
+) -> ServoRecording:
+    """Made by the command line, on a robot server of its own."""
+    with TemporaryDirectory() as folder:
+        file, out = Path(folder) / "robot.yaml", Path(folder) / "excitation.mcap"
+        # JSON is YAML.
+        file.write_text(json.dumps(variation))
+        arguments = ["calibrate", "excite", "--variation", str(file), "--limits", args.limits]
+        arguments += ["--seconds", str(seconds), "--seed", str(seed), "--out", str(out)]
+        with redirect_stdout(StringIO()), redirect_stderr(StringIO()) as words:
+            code = skewmi_command([*arguments, "--lock-step"])
+        if code:
+            raise SystemExit(words.getvalue())
+        return read_excitation(out).recording
 
 
 def truth(robot: DrawnRobot) -> dict[str, Array]:
@@ -142,6 +177,11 @@ def main() -> None:
     parser.add_argument("--robots", type=int, default=10, help="how many are drawn")
     parser.add_argument("--seconds", type=float, default=60.0, help="of excitation")
     parser.add_argument("--limits", default="lab", help="profile of the motion")
+    parser.add_argument(
+        "--deployed",
+        action="store_true",
+        help="record by `skewmi calibrate excite`, in lock-step, through robot server and link",
+    )
     parser.add_argument("--noise", type=float, default=1e-4, help="of joint positions, rad")
     parser.add_argument("--mass-error", type=float, default=0.0, help="masses within +- this part")
     parser.add_argument("--threads", type=int, default=2, help="that simulate candidates")
@@ -158,7 +198,7 @@ def main() -> None:
         )
     config = {
         key: getattr(args, key)
-        for key in ("robots", "seconds", "limits", "noise", "mass_error", "threads")
+        for key in ("robots", "seconds", "limits", "deployed", "noise", "mass_error", "threads")
     }
     document = write_result(
         "servo_identification",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -48,6 +49,20 @@ class DrawnRobot:
             frictionloss=self.frictionloss,
         )
 
+    def variation(self, joint_noise: float, seed: int, mass_scale: float = 1.0) -> dict[str, Any]:
+        """The content of a variation file; arguments as in `record`."""
+        return {
+            "seed": seed,
+            "servo": {
+                "kp_scale": self.kp_scale.tolist(),
+                "kd_scale": self.kd_scale.tolist(),
+                "frictionloss": self.frictionloss.tolist(),
+                "delay_ms": self.delay_ms,
+            },
+            "arm": {"mass_scale": mass_scale},
+            "sensors": {"joint_noise": joint_noise},
+        }
+
     def record(
         self,
         motion: JointTrajectory,
@@ -64,17 +79,7 @@ class DrawnRobot:
             seed: Of the noise.
             mass_scale: Of the arm's masses and inertias: what no servo model knows.
         """
-        variation = {
-            "seed": seed,
-            "servo": {
-                "kp_scale": self.kp_scale.tolist(),
-                "kd_scale": self.kd_scale.tolist(),
-                "frictionloss": self.frictionloss.tolist(),
-                "delay_ms": self.delay_ms,
-            },
-            "arm": {"mass_scale": mass_scale},
-            "sensors": {"joint_noise": joint_noise},
-        }
+        variation = self.variation(joint_noise, seed, mass_scale)
         simulation = ArmSimulation(None, motion.q[0], json.dumps(variation))
         times, positions = [], []
         for tick in range(len(motion)):
