@@ -41,7 +41,15 @@ FORBIDDEN: dict[str, tuple[str, ...]] = {
     ),
     "skewmi.calibration.calibration_file": ("mujoco", "skewmi.robot_models.mjcf"),
     "skewmi.sim.arm": ("gymnasium", "skewmi.sim.tasks"),
-    "skewmi.sim": ("torch", "zenoh", "skewmi.train", "skewmi.export", "skewmi.deploy"),
+    "skewmi.sim": (
+        "torch",
+        "zenoh",
+        "skewmi.train",
+        "skewmi.export",
+        "skewmi.deploy",
+        "skewmi.calibration.excitation",
+        "skewmi.calibration.servo_identification",
+    ),
     "skewmi.train": (
         "mujoco",
         "zenoh",
@@ -51,7 +59,15 @@ FORBIDDEN: dict[str, tuple[str, ...]] = {
         "skewmi.deploy",
     ),
     "skewmi.export": ("zenoh", "mujoco", "skewmi.sim", "skewmi.robot_models"),
-    "skewmi.deploy": ("torch", "onnx", "skewmi.sim", "skewmi.train", "skewmi.export"),
+    "skewmi.deploy": (
+        "torch",
+        "onnx",
+        "skewmi.sim",
+        "skewmi.train",
+        "skewmi.export",
+        "skewmi.calibration.excitation",
+        "skewmi.calibration.servo_identification",
+    ),
     "skewmi.evaluation": ("tyro", "skewmi.sim", "skewmi.export", "skewmi.cli"),
     "skewmi.cli.main": ("torch", "mujoco", "zenoh", "skewmi.sim", "skewmi.train"),
 }

@@ -21,6 +21,7 @@ ROOMS: dict[str, set[str]] = {
     "robot": {
         "policy_io",
         "robot_models",
+        "calibration",
         "contact",
         "child",
         "sim",
@@ -32,6 +33,7 @@ ROOMS: dict[str, set[str]] = {
     "session": {
         "policy_io",
         "robot_models",
+        "calibration",
         "command_integrator",
         "success",
         "smoothness",
@@ -61,6 +63,13 @@ ROOMS: dict[str, set[str]] = {
 
 ROBOT_FOR_SESSIONS = {"description", "states", "status"}
 """What a session needs of the robot's room: words, no robot."""
+
+CALIBRATION_FOR_USERS = {
+    "calibration.calibration_file",
+    "calibration.calibration_parts",
+    "calibration.calibration_values",
+}
+"""What whoever uses a calibration needs: its file, and nothing of what makes one."""
 
 SIMULATORS = ("deploy.robot.backends.mujoco", "deploy.robot.egm_emulator")
 """The only modules of `deploy` that may import the simulation."""
@@ -132,6 +141,16 @@ def test_a_session_knows_a_robot_by_its_words_alone() -> None:
         if room(module) == "deploy.session":
             of_robot = {other for other in found if room(other) == "deploy.robot"}
             assert of_robot <= {f"deploy.robot.{name}" for name in ROBOT_FOR_SESSIONS}, module
+
+
+def test_who_uses_a_calibration_knows_its_file_alone() -> None:
+    users = 0
+    for module, found in imports().items():
+        if module.startswith(("sim", "deploy")):
+            of_calibration = {other for other in found if room(other) == "calibration"}
+            assert of_calibration <= CALIBRATION_FOR_USERS, module
+            users += bool(of_calibration)
+    assert users
 
 
 def test_only_simulated_robots_import_the_simulation() -> None:

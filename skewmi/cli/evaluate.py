@@ -22,7 +22,7 @@ from skewmi.cli.policies import (
     progress_bar,
     task_options,
 )
-from skewmi.cli.task_flags import OptionalTaskName, variation_option
+from skewmi.cli.task_flags import OptionalTaskName, calibration_option, variation_option
 from skewmi.errors import ConfigurationError, LayoutMismatchError
 from skewmi.evaluation.agents import RandomAgent, ZeroAgent
 from skewmi.evaluation.contact import contact_text, recorder_for, summarise_contact
@@ -53,6 +53,9 @@ class EvaluateCommand:
     variation: str | None = None
     """How robot and scene differ from the nominal ones: a variation file (YAML), or the name of
     one that comes with the task, as `randomised`."""
+    calibration: Path | None = None
+    """What is known of the robot, whatever it is: a calibration file (YAML) of `skewmi calibrate`.
+    Its servos get feed-forward from it."""
     option: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """Option of the task, NAME=VALUE with VALUE in JSON, as start_noise=0.3; may be repeated."""
     json: bool = False
@@ -77,6 +80,7 @@ def run_evaluate(options: EvaluateCommand) -> int:
         )
     env_options = task_options(task, policy.layout if policy is not None else None, options.option)
     env_options |= variation_option(task, options.variation)
+    env_options |= calibration_option(task, options.calibration)
     env = make_env(
         task, options.num_envs, options.episodes, options.num_threads, options.seed, env_options
     )
@@ -96,6 +100,7 @@ def run_evaluate(options: EvaluateCommand) -> int:
         "agent": options.agent if options.agent != "policy" else str(options.policy),
         "seed": options.seed,
         "variation": options.variation or "nominal",
+        "calibration": None if options.calibration is None else str(options.calibration),
         "num_envs": env.num_envs,
         "wall_time_s": wall,
     }
@@ -108,9 +113,10 @@ def run_evaluate(options: EvaluateCommand) -> int:
 def as_text(figures: dict[str, Any]) -> str:
     """The figures of `run_evaluate` for people."""
     low, high = figures["success_rate_interval_95"]
+    known = "" if figures["calibration"] is None else f", calibration: {figures['calibration']}"
     lines = [
         f"{figures['task']}, {figures['agent']}, seed {figures['seed']}, "
-        f"model: {figures['variation']}",
+        f"model: {figures['variation']}{known}",
         f"  {figures['successes']} of {figures['episodes']} episodes succeeded: "
         f"{figures['success_rate']:.1%} (95 % interval {low:.1%} to {high:.1%})",
     ]

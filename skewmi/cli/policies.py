@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 Which = Literal["latest", "best"]
 
-_OWN_FLAGS = ("num_envs", "num_threads", "seed", "variation")
+_OWN_FLAGS = ("num_envs", "num_threads", "seed", "variation", "calibration")
 
 MAX_BATCH = 50
 """Environments stepped together by default: enough to keep the threads busy, little memory."""

@@ -10,11 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skewmi.batch_env import StepResult
+from skewmi.calibration.calibration_file import Calibration
 from skewmi.errors import ConfigurationError
 from skewmi.policy_io import TIME_FIELD, Array, PolicyLayout, assemble_observation
 from skewmi.sim.arm import reach
 from skewmi.sim.arm.arm_task import ArmTask
 from skewmi.sim.arm.diagnostics import Diagnostics
+from skewmi.sim.arm.known import Known
 from skewmi.sim.arm.physics import ArmPhysics
 from skewmi.sim.arm.randomization import Randomization
 from skewmi.sim.arm.scene import ArmScene
@@ -52,6 +54,7 @@ class ArmBatch:
         time_input: bool = False,
         randomization: Randomization | None = None,
         variation: ModelVariation | str | Path | None = None,
+        calibration: Calibration | str | Path | None = None,
     ) -> None:
         """Make the environment; call `reset` before `step`.
 
@@ -67,10 +70,13 @@ class ArmBatch:
                 the name of a bundled one. Its values are drawn at each reset from a stream of
                 their own: the start positions are those of the nominal model. Reward and success
                 are of the true state; the observation is what its sensors say.
+            calibration: What is known of the robot, whatever the variation says that it is: a
+                calibration, its file, or the JSON of one. The servos get feed-forward from it.
 
         Raises:
-            ConfigurationError: A number is out of its range, or the variation is not valid.
-            NotFoundError: There is no such variation file.
+            ConfigurationError: A number is out of its range, or the variation or the calibration
+                is not valid.
+            NotFoundError: There is no such variation or calibration file.
         """
         self.task = task
         self.layout = task.layout(gripper_action=gripper_action, time_input=time_input)
@@ -84,6 +90,7 @@ class ArmBatch:
             checked_num_threads(num_threads),
             self.variation,
             seed,
+            Known.of(calibration),
         )
         self.batch, self.servo_targets = self._physics.batch, self._physics.servo_targets
         self._randomization = Randomization() if randomization is None else randomization

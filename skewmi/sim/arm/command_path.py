@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from skewmi.command_integrator import CommandIntegrator
 from skewmi.policy_io import Array, PolicyLayout
+from skewmi.robot_models.feed_forward import FeedForward
 from skewmi.sim.arm import definition
 from skewmi.sim.arm.scene import ArmScene, workspace_of
 
@@ -21,17 +22,29 @@ class CommandPath:
     substeps, with the velocity of that line as feed-forward. Where the hand is blocked, the line
     ends.
 
+    With a feed-forward of known servos the line is its reference. What is sent then depends on the
+    ticks before, and `follow` has to be called for every part of the step before it is taken.
+
     Args:
         layout: Of the task.
         scene: Gives kinematics and controls.
         n: Number of arms.
+        feed_forward: Of servos that are known; None for that of the nominal ones.
 
     Attributes:
+        feed_forward: As given.
         q: Commanded joints at the end of the step, rad. Shape (n, 7).
         targets: Controls at every substep of the step. Shape (n, substeps, nu).
     """
 
-    def __init__(self, layout: PolicyLayout, scene: ArmScene, n: int) -> None:
+    def __init__(
+        self,
+        layout: PolicyLayout,
+        scene: ArmScene,
+        n: int,
+        feed_forward: FeedForward | None = None,
+    ) -> None:
+        self.feed_forward = feed_forward
         self._layout, self._scene, self._workspace = layout, scene, workspace_of(layout)
         self.integrator = CommandIntegrator(layout, definition.FINGER_MAX)
         self.q: Array = np.empty((n, 7))
@@ -57,6 +70,8 @@ class CommandPath:
         """
         self.integrator.start(position_w)
         self.q = q
+        if self.feed_forward is not None:
+            self.feed_forward.start(q)
         return self._scene.controls(q, self.integrator.opening)
 
     def move(self, action: Array, hand_w: Array) -> None:
@@ -75,6 +90,20 @@ class CommandPath:
         last = self._scene.controls(self.q, integrator.opening, velocity)
         np.multiply((last - first)[:, None, :], self._fraction, out=self.targets)
         self.targets += first[:, None, :]
+        self._velocity = velocity
+
+    def follow(self, part: slice) -> None:
+        """Put what the feed-forward sends into the arms' targets of some substeps.
+
+        Args:
+            part: The substeps that come next.
+        """
+        assert self.feed_forward is not None
+        arm = self._scene.arm_ctrl
+        for substep in range(part.start, part.stop):
+            left = (substep + 1 - definition.SUBSTEPS) * definition.SIM_DT
+            reference = self.q + left * self._velocity
+            self.targets[:, substep, arm] = self.feed_forward.step(reference, self._velocity)
 
     def wait_for_hands(self, substep: int, hand_w: Array) -> NDArray[np.int64]:
         """End the step's command where it is, for hands that do not follow it.
@@ -93,4 +122,5 @@ class CommandPath:
             self.q[held] = self._begin_q[held] + done * (self.q[held] - self._begin_q[held])
             arm = np.ix_(held, np.arange(substep, definition.SUBSTEPS), self._scene.arm_ctrl)
             self.targets[arm] = self.q[held][:, None, :]
+            self._velocity[held] = 0.0
         return held

@@ -15,6 +15,7 @@ from skewmi.sim.arm import definition
 from skewmi.sim.arm.batch_variation import BatchVariation
 from skewmi.sim.arm.command_path import CommandPath
 from skewmi.sim.arm.diagnostics import Diagnostics
+from skewmi.sim.arm.known import Known
 from skewmi.sim.arm.scene import ArmScene, hand_rotation, workspace_of
 from skewmi.sim.variation import ModelVariation
 
@@ -31,6 +32,7 @@ class ArmPhysics:
         num_threads: Threads that step them, 0 for all cores.
         variation: How they differ from the nominal model.
         seed: Of the variation's values.
+        known: What is known of the robots, which says nothing of how they are.
 
     Attributes:
         scene: As given.
@@ -50,10 +52,12 @@ class ArmPhysics:
         num_threads: int,
         variation: ModelVariation,
         seed: int,
+        known: Known | None = None,
     ) -> None:
         self.scene = scene
         self.batch = Batch(scene.physics_model, num_envs, num_threads)
-        self.command = CommandPath(layout, scene, num_envs)
+        feed_forward = None if known is None else known.feed_forward()
+        self.command = CommandPath(layout, scene, num_envs, feed_forward)
         # The nominal variation is none at all, so that it costs nothing.
         nominal = variation.is_nominal
         self.varied = None if nominal else BatchVariation(variation, scene, self.batch, seed)
@@ -93,14 +97,20 @@ class ArmPhysics:
             SimulationError: MuJoCo found a state that is not physical.
         """
         self.command.move(action, self.hand_position_w)
+        compensated = self.command.feed_forward is not None
         if self.varied is not None:
             self.varied.begin_step()
-            self.varied.delay(self.command.targets, self.servo_targets)
+            if not compensated:
+                self.varied.delay(self.command.targets, self.servo_targets)
         period, steps = definition.WATCH_SUBSTEPS, definition.SUBSTEPS
         for begin in range(0, steps, period):
             if begin:
                 held = self.command.wait_for_hands(begin, self._hand_w())
-                if held.size and self.varied is not None:
+                if held.size and self.varied is not None and not compensated:
+                    self.varied.delay(self.command.targets, self.servo_targets)
+            if compensated:
+                self.command.follow(slice(begin, begin + period))
+                if self.varied is not None:
                     self.varied.delay(self.command.targets, self.servo_targets)
             for at in range(begin, begin + period, self._stretch):
                 self._advance(slice(at, at + self._stretch))
