@@ -67,9 +67,11 @@ ROBOT_FOR_SESSIONS = {"description", "states", "status"}
 CALIBRATION_FOR_USERS = {
     "calibration.calibration_file",
     "calibration.calibration_parts",
+    "calibration.calibration_use",
     "calibration.calibration_values",
 }
-"""What whoever uses a calibration needs: its file, and nothing of what makes one."""
+"""What whoever uses a calibration needs: its file, and what is made of it; nothing of what makes
+one."""
 
 SIMULATORS = ("deploy.robot.backends.mujoco", "deploy.robot.egm_emulator")
 """The only modules of `deploy` that may import the simulation."""

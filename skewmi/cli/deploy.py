@@ -53,6 +53,9 @@ class DeployCommand:
     """How the simulated robot that is started and its scene differ from the nominal ones: a
     variation file (YAML), or the name of one that comes with the task, as `randomised`. Each
     episode draws by its own seed."""
+    calibration: Path | None = None
+    """What is known of the robot and its scene, whatever they are: a calibration file (YAML) of
+    `skewmi calibrate`. The robot that is started gets it, too; give a running one the same."""
     episodes: int = 1
     """How many."""
     seed: int = 0
@@ -113,6 +116,7 @@ def deploy_policy(options: DeployCommand) -> DeployReport:
                 connect=options.connect,
                 domain=ros_domain(options.domain),
                 variation=variation,
+                calibration=options.calibration,
                 lock_step=options.lock_step,
                 limits=options.limits,
                 speed=options.speed,
@@ -134,7 +138,7 @@ def deploy_policy(options: DeployCommand) -> DeployReport:
 def _check_outputs(options: DeployCommand) -> None:
     """See that the run's files can be written, before anything moves."""
     variation = None if options.variation is None else Path(options.variation)
-    needed = [policies.locate(options.policy), options.zenoh_config, variation]
+    needed = [policies.locate(options.policy), options.zenoh_config, variation, options.calibration]
     outputs = [options.record, options.live_out]
     for output, other in zip(outputs, reversed(outputs), strict=True):
         if output is not None:

@@ -20,6 +20,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from skewmi.calibration.calibration_file import read_calibration
 from skewmi.cli.egm_flags import BareEgmFlags, EgmFlags, task_facts
 from skewmi.cli.interrupt import signals_to_handle
 from skewmi.cli.robot_flags import RobotName
@@ -34,6 +35,7 @@ from skewmi.deploy.robot.run import serve_robot
 from skewmi.deploy.state_machine import Transition
 from skewmi.deploy.wire.domain import ros_domain
 from skewmi.deploy.wire.transport import TransportConfig
+from skewmi.errors import ConfigurationError
 from skewmi.robot_models import limits as joint_limits
 from skewmi.sim import tasks
 
@@ -52,6 +54,9 @@ class RobotCommand:
     variation: str | None = None
     """How robot and scene differ from the nominal ones: a variation file (YAML), or the name of
     one that comes with the task, as `randomised`."""
+    calibration: Path | None = None
+    """What is known of the robot, whatever it is: a calibration file (YAML) of `skewmi calibrate`.
+    Its servos get feed-forward from it, behind the checks and within the same limits."""
     listen: str | None = None
     """Zenoh locator to listen on; by default what --zenoh-config says, else tcp/127.0.0.1:7447."""
     domain: int | None = None
@@ -75,6 +80,7 @@ class RobotCommand:
 def run_robot(options: RobotCommand) -> int:
     """Serve until interrupted. Returns 0."""
     profile = joint_limits.profile(options.limits)
+    calibration = None if options.calibration is None else read_calibration(options.calibration)
     config = TransportConfig.for_robot(
         options.listen,
         domain=ros_domain(options.domain),
@@ -116,6 +122,7 @@ def run_robot(options: RobotCommand) -> int:
             profile,
             stop,
             on_ready=ready,
+            calibration=calibration,
         )
     with suppress(OSError):  # The terminal may be gone.
         console.print("arm at rest, robot server ended", highlight=False)
@@ -139,6 +146,11 @@ def _backend_options(options: RobotCommand) -> BackendOptions:
 
 def _run_emulator(options: RobotCommand, stop: threading.Event, console: Console) -> int:
     """An emulated controller instead of a robot server."""
+    if options.calibration is not None:
+        raise ConfigurationError(
+            "an emulated controller is as it is; give --calibration to the bridge, skewmi robot "
+            "--backend egm"
+        )
     emulated = options.egm.emulator(options.task, options.variation)
     config = TransportConfig.for_client(
         options.egm.connect,

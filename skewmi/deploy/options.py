@@ -25,6 +25,9 @@ class DeployOptions:
     variation: str | None = None
     """Model variation of the simulated robot that is started; not together with `connect` or
     `zenoh_config`."""
+    calibration: Path | None = None
+    """File of what is known of the robot. The robot that is started gets it, too; one that runs
+    already has to have been given the same."""
     domain: int = 0
     """ROS 2 domain of the robot server."""
     lock_step: bool = False

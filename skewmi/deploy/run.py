@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import replace
 
+from skewmi.calibration.calibration_file import read_calibration
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.recording.reader import run_metadata
 from skewmi.deploy.recording.recorder import Recorder
@@ -49,10 +50,11 @@ def run_deploy(
         What happened. Trouble during an episode is in the report, not raised.
 
     Raises:
-        NotFoundError: No such limit profile.
+        NotFoundError: No such limit profile or calibration file.
         TransportError: No robot server answers, or the simulated one does not start.
         LayoutMismatchError: The robot server is not what the policy was made for.
-        ConfigurationError: Limits or pace of the robot server differ.
+        ConfigurationError: Limits or pace of the robot server differ, or the calibration is none
+            of this robot model.
     """
     stop = threading.Event() if stop is None else stop
     tell = (lambda text: None) if on_event is None else on_event
@@ -89,7 +91,9 @@ def _run(
         velocity_fraction=options.speed,
         planned_episodes=options.episodes,
     )
-    with _robot_server(options, policy.layout.task, tell) as locator:
+    known = None if options.calibration is None else read_calibration(options.calibration)
+    knows_servos = known is not None and known.servo is not None
+    with _robot_server(options, policy.layout.task, tell, knows_servos) as locator:
         config = TransportConfig.for_client(
             locator,
             domain=options.domain,
@@ -98,14 +102,14 @@ def _run(
         )
         with Link.open(config, NODE_NAME) as link:
             link.wait_for_robot(5.0)
-            session = connect(policy, options, link, report, stop, tell)
+            session = connect(policy, options, link, report, stop, tell, known)
             with _beside(options, policy, link, session.trust, config, report):
                 session.run()
     return report
 
 
 def _robot_server(
-    options: DeployOptions, task: str, tell: Callable[[str], None]
+    options: DeployOptions, task: str, tell: Callable[[str], None], knows_servos: bool
 ) -> AbstractContextManager[str | None]:
     """Locator of the robot server that the options name, or of one that is started."""
     if not options.starts_robot:
@@ -117,6 +121,7 @@ def _robot_server(
         options.limits,
         lock_step=options.lock_step,
         variation=options.variation,
+        calibration=options.calibration if knows_servos else None,
         domain=options.domain,
     )
 

@@ -58,6 +58,8 @@ class RobotDescription:
     """What is missing, if it cannot."""
     scene: str = ""
     """Shapes of the scene, as `SceneGeometry.to_json`; only in answers to requests for it."""
+    calibration: str = ""
+    """Fingerprint of the calibration that its servos get feed-forward from; empty without one."""
     publishers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Global ids of those whose states and status are to be believed, by topic, hexadecimal: the
     robot server's own, and whoever publishes the scene's states for it."""

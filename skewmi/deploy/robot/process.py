@@ -8,6 +8,7 @@ import subprocess
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from tempfile import TemporaryFile
 
 from skewmi.child import child_command
@@ -31,6 +32,7 @@ def spawn_robot(
     *,
     lock_step: bool,
     variation: str | None = None,
+    calibration: Path | None = None,
     domain: int = 0,
 ) -> Iterator[str]:
     """Run `skewmi robot --backend NAME` on a free port until the block is left.
@@ -43,6 +45,7 @@ def spawn_robot(
         limits: Name of the limit profile that it enforces.
         lock_step: See `skewmi robot --help`.
         variation: How robot and scene differ from the nominal ones; None if they do not.
+        calibration: File of what is known of its servos; None if nothing is.
         domain: ROS 2 domain that it is in.
 
     Yields:
@@ -54,6 +57,7 @@ def spawn_robot(
     locator = f"tcp/127.0.0.1:{free_port()}"
     server = ["--task", task, "--limits", limits, "--listen", locator, "--domain", str(domain)]
     server += ["--lock-step"] if lock_step else []
+    server += [] if calibration is None else ["--calibration", str(calibration)]
     varied = [] if variation is None else ["--variation", variation]
     if name != EMULATOR:
         with _child(name, [*server, *varied]):

@@ -6,6 +6,8 @@ import threading
 from collections.abc import Callable
 from dataclasses import replace
 
+from skewmi.calibration.calibration_file import Calibration
+from skewmi.calibration.calibration_use import fingerprint, servo_constants
 from skewmi.deploy.robot.backend import fresh_start_ns
 from skewmi.deploy.robot.backends import BackendOptions, make_backend
 from skewmi.deploy.robot.controller import LEASE_NS, RobotController
@@ -15,6 +17,8 @@ from skewmi.deploy.robot.workspaces import spaces_of
 from skewmi.deploy.safety.checks import limit_check, space_checks
 from skewmi.deploy.safety.validation import ChunkValidator, ValidationRules
 from skewmi.deploy.wire.transport import Link, TransportConfig
+from skewmi.errors import ConfigurationError
+from skewmi.robot_models.feed_forward import FeedForward
 from skewmi.robot_models.limits import JointLimits
 from skewmi.trajectory import GRID_NS
 
@@ -31,6 +35,7 @@ def serve_robot(
     limits: JointLimits,
     stop: threading.Event,
     on_ready: Callable[[RobotDescription], None] | None = None,
+    calibration: Calibration | None = None,
 ) -> None:
     """Serve a robot until `stop` is set.
 
@@ -41,12 +46,17 @@ def serve_robot(
         limits: To enforce.
         stop: Set by a signal handler or another thread.
         on_ready: Called once everything is declared.
+        calibration: What is known of the robot; its servos get feed-forward from it, behind the
+            checks and within the same limits.
 
     Raises:
         NotFoundError: No such robot, task or variation.
-        ConfigurationError: The options are not for that robot.
+        ConfigurationError: The options are not for that robot, or the calibration is not of
+            servos.
         TransportError: The port is in use, or the robot cannot be reached.
     """
+    known = "" if calibration is None else fingerprint(calibration)
+    options = replace(options, feed_forward=_feed_forward(calibration, limits))
     # The port first: a taken one is reported before a scene is compiled.
     with Link.open(config, NODE_NAME) as link:
         backend = make_backend(name, replace(options, link=link))
@@ -63,6 +73,18 @@ def serve_robot(
             lease_ns=LOCK_STEP_LEASE_NS if backend.lock_step else LEASE_NS,
             start_ns=fresh_start_ns(),
         )
-        server = RobotServer(backend, controller, link, limits, spaces)
+        server = RobotServer(backend, controller, link, limits, spaces, calibration=known)
         server.open_stop_path(config)
         server.run(stop, on_ready)
+
+
+def _feed_forward(calibration: Calibration | None, limits: JointLimits) -> FeedForward | None:
+    if calibration is None:
+        return None
+    constants = servo_constants(calibration)
+    if constants is None:
+        raise ConfigurationError(
+            "the calibration knows the scene alone, which a robot server has no use for; give it "
+            "to skewmi deploy, or run skewmi calibrate servo"
+        )
+    return FeedForward(constants, limits)

@@ -63,6 +63,7 @@ class RobotServer:
         link: An open one, listening.
         limits: That are enforced, for the description.
         spaces: Workspaces besides the task's, likewise.
+        calibration: Fingerprint of that in use, for the description; empty for none.
     """
 
     def __init__(
@@ -72,7 +73,10 @@ class RobotServer:
         link: Link,
         limits: JointLimits,
         spaces: Mapping[str, FlangeSpace] | None = None,
+        *,
+        calibration: str = "",
     ) -> None:
+        self._calibration = calibration
         self._backend = backend
         self._controller = controller
         self._limits = limits
@@ -219,6 +223,7 @@ class RobotServer:
             publishers=self._publisher.publishers(),
             workspaces=workspaces_told(scene, self._spaces),
             workspace=controller.lease.workspace,
+            calibration=self._calibration,
         )
 
     def _describe(self, request: Request) -> TriggerReply:

@@ -15,13 +15,16 @@ _SMOOTHING = 1.0 / 8.0
 
 
 class ArmDelay:
-    """What statuses of the robot server tell of it, bounded and smoothed; 0 until they do.
+    """What statuses of the robot server tell of it, bounded and smoothed.
 
     A simulated robot tells none, and has none that is not its servos' own.
+
+    Args:
+        seconds: What it is until they tell, s.
     """
 
-    def __init__(self) -> None:
-        self._seconds = 0.0
+    def __init__(self, seconds: float = 0.0) -> None:
+        self._seconds = min(max(seconds, 0.0), MOST_S)
 
     @property
     def ns(self) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
+from skewmi.calibration.calibration_file import Calibration
 from skewmi.deploy.motion.planner import Planner
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.report import DeployReport
@@ -13,8 +14,10 @@ from skewmi.deploy.safety.checks import ChunkChecks
 from skewmi.deploy.safety.limits import TCP_SPEED_LIMIT
 from skewmi.deploy.session.agreement import check_agreement, check_pace
 from skewmi.deploy.session.approach import Approach
+from skewmi.deploy.session.arm_delay import ArmDelay
 from skewmi.deploy.session.control_loop import ControlLoop
 from skewmi.deploy.session.episode import EpisodeRunner
+from skewmi.deploy.session.known_robot import agree_on_calibration
 from skewmi.deploy.session.observer import Observer
 from skewmi.deploy.session.pace import Pace, choose_pace, planning_limits
 from skewmi.deploy.session.policy_motion import PolicyMotion
@@ -41,6 +44,7 @@ def connect(
     report: DeployReport,
     stop: threading.Event,
     tell: Callable[[str], None],
+    known: Calibration | None = None,
 ) -> Session:
     """Make a session that is ready to run; the arm does not move yet.
 
@@ -51,6 +55,7 @@ def connect(
         report: Told the speed, and given to the session.
         stop: Set from outside to end the run with a smooth stop.
         tell: Told in words what happens.
+        known: Of robot and scene.
 
     Raises:
         LayoutMismatchError: The robot server is not what the policy was made for.
@@ -76,6 +81,9 @@ def connect(
     check_pace(described, lock_step=options.lock_step)
     check_agreement(layout, options.robot_model_hash, limits, described)
     status.clock_ns = described.clock_ns
+    agreement = agree_on_calibration(known, described)
+    robot.delay = ArmDelay(agreement.delay_s)
+    _tell(agreement.note, report, tell)
 
     observer = Observer.open(link, layout, described, trust.senders, options.lead_ms / 1e3)
     flange_speed = described.limits.get(FLANGE_SPEED, (TCP_SPEED_LIMIT,))[0]
@@ -129,6 +137,10 @@ def _watch_pace(
 
 def _tell_pace(pace: Pace, report: DeployReport, tell: Callable[[str], None]) -> None:
     report.speed = pace.speed
-    if pace.note is not None:
-        report.notes.append(pace.note)
-        tell(pace.note)
+    _tell(pace.note, report, tell)
+
+
+def _tell(note: str | None, report: DeployReport, tell: Callable[[str], None]) -> None:
+    if note is not None:
+        report.notes.append(note)
+        tell(note)

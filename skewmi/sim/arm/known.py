@@ -6,11 +6,10 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from skewmi.calibration.calibration_file import Calibration, read_calibration
+from skewmi.calibration.calibration_use import servo_constants
 from skewmi.errors import ConfigurationError
-from skewmi.robot_models.feed_forward import FeedForward, ServoConstants
+from skewmi.robot_models.feed_forward import FeedForward
 
 
 @dataclass(frozen=True)
@@ -53,9 +52,5 @@ class Known:
 
     def feed_forward(self) -> FeedForward | None:
         """Of the servos, without limits; None if they were not calibrated."""
-        servo = self.calibration.servo
-        if servo is None:
-            return None
-        lead = np.array(servo.kd_over_kp.value) + servo.delay_ms.value[0] / 1e3
-        constants = ServoConstants(lead, np.array(servo.frictionloss_over_kp.value))
-        return FeedForward(constants, None)
+        constants = servo_constants(self.calibration)
+        return None if constants is None else FeedForward(constants, None)

@@ -15,6 +15,7 @@ from skewmi.deploy.robot.backends.egm.options import EgmOptions, TaskFacts
 from skewmi.deploy.robot.gripper.base import Gripper
 from skewmi.deploy.wire.transport import Link
 from skewmi.errors import NotFoundError
+from skewmi.robot_models.feed_forward import FeedForward
 
 BACKENDS: Mapping[str, str] = MappingProxyType(
     {
@@ -41,6 +42,8 @@ class BackendOptions:
     """From a command to the state that shows it, s, for robots that let one choose."""
     start_configuration: tuple[float, ...] | None = None
     """Where a simulated arm is at first, chain order, rad."""
+    feed_forward: FeedForward | None = None
+    """Of servos that are known: what is sent in place of the plan, which is checked before."""
     egm: EgmOptions | None = None
     """How to reach a controller."""
     gripper: Gripper | None = None

@@ -130,6 +130,11 @@ class HoldBackend:
 
 def make(options: BackendOptions) -> RobotBackend:
     """See `backends.make_backend`."""
+    if options.feed_forward is not None:
+        raise ConfigurationError(
+            "this robot is where it is commanded to be and has no servos to know; leave out "
+            "--calibration"
+        )
     if options.variation is not None:
         raise ConfigurationError("this robot has nothing that varies; leave out --variation")
     start = options.start_configuration or yumi.HOME["right"]

@@ -25,7 +25,8 @@ from skewmi.deploy.robot.gripper.base import Gripper
 from skewmi.deploy.state_machine import Transition
 from skewmi.errors import CommandRefusedError, ConfigurationError, TransportError
 from skewmi.robot_models import yumi
-from skewmi.trajectory import JointPoint
+from skewmi.robot_models.feed_forward import FeedForward
+from skewmi.trajectory import Array, JointPoint
 
 _log = logging.getLogger(__name__)
 
@@ -43,6 +44,8 @@ class EgmBackend:
         options: Of the bridge.
         gripper: Of the right arm; None if there is none.
         scene: What is known of what stands before it; None if nothing is.
+        feed_forward: Of the arm, if it is known how it follows: what is answered is not the plan
+            then but ahead of it, while the speed reference stays the plan's.
     """
 
     name = "egm"
@@ -50,11 +53,16 @@ class EgmBackend:
     lock_step = False
 
     def __init__(
-        self, options: EgmOptions, gripper: Gripper | None = None, scene: EgmScene | None = None
+        self,
+        options: EgmOptions,
+        gripper: Gripper | None = None,
+        scene: EgmScene | None = None,
+        feed_forward: FeedForward | None = None,
     ) -> None:
         self.options = options
         self.gripper = gripper
         self.scene = scene
+        self._feed_forward = feed_forward
         self.joint_names = yumi.joint_names("right")
         fingers = () if gripper is None else yumi.finger_names("right")[:1]
         self.state_names: tuple[str, ...] = (*self.joint_names, *fingers)
@@ -129,8 +137,8 @@ class EgmBackend:
         """Answer the packet; then the left arm's, which may have come meanwhile."""
         assert self.right is not None
         if self.right.watch.state in _FOLLOWS:
-            feed_forward = self.options.feed_forward
-            self.right.answer(command.q, feed_forward * command.v if feed_forward else None)
+            share = self.options.feed_forward
+            self.right.answer(self._sent(command), share * command.v if share else None)
             self._note_delay(command)
             self.command = command
             self.recent.append(command)
@@ -170,6 +178,14 @@ class EgmBackend:
             self.left.channel.link.close()
         if self.gripper is not None:
             self.gripper.close()
+
+    def _sent(self, command: JointPoint) -> Array:
+        """The position reference for a point of the plan, rad. Shape (7,)."""
+        if self._feed_forward is None:
+            return command.q
+        if self.command is None:
+            self._feed_forward.start(command.q)
+        return self._feed_forward.step(command.q, command.v)
 
     def _expect_session(self) -> None:
         assert self.right is not None
@@ -239,4 +255,4 @@ def make(options: BackendOptions) -> RobotBackend:
     scene = (
         EgmScene.open(options.facts, options.link if emulated else None) if options.facts else None
     )
-    return EgmBackend(egm, options.gripper, scene)
+    return EgmBackend(egm, options.gripper, scene, options.feed_forward)

@@ -133,5 +133,5 @@ def make(options: BackendOptions) -> RobotBackend:
         )
     start = options.start_configuration
     configuration = None if start is None else np.array(start)
-    simulation = ArmSimulation(options.task, configuration, options.variation)
+    simulation = ArmSimulation(options.task, configuration, options.variation, options.feed_forward)
     return MujocoBackend(simulation, lock_step=options.lock_step)

@@ -12,6 +12,7 @@ from skewmi.deploy.robot.backends.mujoco.contact_meter import ContactMeter
 from skewmi.errors import ConfigurationError, NotFoundError
 from skewmi.policy_io import Array, PolicyLayout
 from skewmi.robot_models import yumi
+from skewmi.robot_models.feed_forward import FeedForward
 from skewmi.sim import tasks
 from skewmi.sim.arm.drive import Drive, Stribeck
 from skewmi.sim.arm.model_fields import model_fields
@@ -42,6 +43,7 @@ class ArmSimulation:
         variation: How robot and scene differ from the nominal ones: a variation file, a bundled
             name, or JSON. Its values are drawn at each reset from the seed of that reset.
             Shapes for replays stay nominal, as does all that the robot is told.
+        feed_forward: Of the arm's servos, if they are known; the nominal ones' if not given.
 
     Attributes:
         link_errors: What the variation says of the way to the session, as the last reset drew it;
@@ -58,6 +60,7 @@ class ArmSimulation:
         task: str | None = None,
         start_configuration: Array | None = None,
         variation: str | None = None,
+        feed_forward: FeedForward | None = None,
     ) -> None:
         self.task = tasks.default() if task is None else task
         self.spec = tasks.find(self.task)
@@ -83,6 +86,7 @@ class ArmSimulation:
         self.contact = ContactMeter(
             np.array(workspace.low), np.array(workspace.high), hand_rotation(workspace)
         )
+        self._feed_forward = feed_forward
         self._variation = self.spec.variations.resolve(variation)
         self._nominal_model = copy.copy(self.scene.model)
         self._opening_error = 0.0
@@ -123,12 +127,15 @@ class ArmSimulation:
         return SceneState(scene.task.joint_names, position, data.qvel[scene.scene_dof])
 
     def step(self) -> None:
-        """Follow the servo target `command.q`, with `command.v` as feed-forward, for 4 ms.
+        """Follow the servo target `command.q`, with feed-forward from `command.v`, for 4 ms.
 
         Raises:
             BackendFaultError: MuJoCo found a state that is not physical.
         """
         controls = self.scene.controls(self.command.q, 0.0, self.command.v)
+        if self._feed_forward is not None:
+            sent = self._feed_forward.step(self.command.q, self.command.v)
+            controls[self.scene.arm_ctrl] = sent
         controls[self.scene.finger_ctrl] = self._finger_target
         self._data.ctrl[:] = self._drive.arriving(controls)
         if self._stribeck is not None:
@@ -214,6 +221,8 @@ class ArmSimulation:
         """Let the present controls be all that is on its way to the servos, and stay at `q`."""
         self.command = JointPoint(np.array(q), _REST, _REST)
         """What the servos follow in the next step."""
+        if self._feed_forward is not None:
+            self._feed_forward.start(q)
         self._finger_target = float(self._data.ctrl[self.scene.finger_ctrl])
         self._drive = Drive(self._sample, self._data.ctrl, self.scene.arm_ctrl)
 

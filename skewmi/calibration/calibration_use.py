@@ -1,0 +1,26 @@
+"""What users of a calibration make of its file."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+
+import numpy as np
+
+from skewmi.calibration.calibration_file import Calibration
+from skewmi.robot_models.feed_forward import ServoConstants
+
+
+def servo_constants(calibration: Calibration) -> ServoConstants | None:
+    """What feed-forward takes of it; None if the servos were not calibrated."""
+    servo = calibration.servo
+    if servo is None:
+        return None
+    lead = np.array(servo.kd_over_kp.value) + servo.delay_ms.value[0] / 1e3
+    return ServoConstants(lead, np.array(servo.frictionloss_over_kp.value))
+
+
+def fingerprint(calibration: Calibration) -> str:
+    """Sixteen hexadecimal digits by which two parties see whether they mean the same one."""
+    text = json.dumps(calibration.as_mapping(), sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -1,0 +1,55 @@
+"""Whether a session and its robot server know the same of the robot, and what follows from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from skewmi.calibration.calibration_file import Calibration
+from skewmi.calibration.calibration_use import fingerprint
+from skewmi.deploy.robot.description import RobotDescription
+
+
+@dataclass(frozen=True)
+class CalibrationAgreement:
+    """What follows from a session's calibration and the robot server's.
+
+    Attributes:
+        delay_s: Of the arm behind its commands, s: 0 where the robot server makes up for it.
+        note: For the user, if the two know different things.
+    """
+
+    delay_s: float
+    note: str | None
+
+
+def agree_on_calibration(
+    known: Calibration | None, described: RobotDescription
+) -> CalibrationAgreement:
+    """Compare what a session and its robot server know.
+
+    Args:
+        known: By the session; None if nothing is.
+        described: The robot server's own words.
+    """
+    theirs = described.calibration
+    servo = None if known is None else known.servo
+    if known is None or servo is None:
+        note = (
+            ""
+            if not theirs
+            else (
+                f"the robot server uses the calibration {theirs}, this session none of servos: give "
+                "it the same --calibration"
+            )
+        )
+        return CalibrationAgreement(0.0, note or None)
+    ours = fingerprint(known)
+    if theirs == ours:
+        return CalibrationAgreement(0.0, None)
+    uses = f"uses another calibration ({theirs})" if theirs else "uses no calibration"
+    note = (
+        f"the robot server {uses}, so that its servos do not get the feed-forward of this one "
+        f"({ours}): start it with the same --calibration"
+    )
+    # A robot server that has one makes up for the delay that it knows.
+    return CalibrationAgreement(0.0 if theirs else servo.delay_ms.value[0] / 1e3, note)
