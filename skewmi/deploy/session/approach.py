@@ -21,6 +21,8 @@ START_ATTEMPTS = 3
 
 REACHED = 0.02
 """Largest joint error at which the start pose counts as reached, rad."""
+SETTLING_NS = 500_000_000
+"""How long an arm that is farther away gets to arrive once its motion is over."""
 
 _NEVER_NS = 1 << 62
 
@@ -110,10 +112,12 @@ class _Way:
         self._cycle, self._rest_ns, self.late = 0, _NEVER_NS, False
 
     def is_over(self, state: ArmState) -> bool:
-        """Whether the arm has followed the motion to its end."""
+        """Whether the arm has followed the motion to its end, or had its time for that."""
         if self._cycle >= self._motion.cycles:
             self._rest_ns = min(self._rest_ns, self._stream.rest_ns)
-        return state.stamp_ns >= self._rest_ns
+        # What is sent to a soft arm within limits comes to rest later than the motion.
+        arrived = _distance(state.q, self._q_goal) <= REACHED
+        return state.stamp_ns >= self._rest_ns + (0 if arrived else SETTLING_NS)
 
     def next_chunk(self, state: ArmState, splice: int) -> JointTrajectory | None:
         """The next part of the motion."""
@@ -130,6 +134,10 @@ class _Way:
         """Nothing waits."""
 
 
+def _distance(q: Array, q_goal: Array) -> float:
+    return float(np.abs(q - q_goal).max())
+
+
 def _check_arrived(q: Array, q_goal: Array, reached: float) -> None:
     """Refuse to go on from somewhere else than the start of the episode.
 
@@ -141,7 +149,7 @@ def _check_arrived(q: Array, q_goal: Array, reached: float) -> None:
     Raises:
         CommandRefusedError: A joint is more than `reached` away.
     """
-    error = float(np.abs(q - q_goal).max())
+    error = _distance(q, q_goal)
     if error > reached:
         raise CommandRefusedError(
             f"the arm stands {error:.3f} rad from the start configuration; "

@@ -38,8 +38,8 @@ def agree_on_calibration(
             ""
             if not theirs
             else (
-                f"the robot server uses the calibration {theirs}, this session none of servos: give "
-                "it the same --calibration"
+                f"the robot server uses the calibration {theirs}, this session none of servos: "
+                "give it the same --calibration"
             )
         )
         return CalibrationAgreement(0.0, note or None)
