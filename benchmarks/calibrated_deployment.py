@@ -1,0 +1,140 @@
+"""The whole way of a calibration, on robots that nobody knows: excite, servo, deploy.
+
+Robots are drawn as in `calibrated_robots.py`, by default with the scene's box displaced by up to
+5 mm and 3 degrees, too, which nothing is told of. Each is what its robot server is; all else goes
+through the command line: `calibrate excite` and `calibrate servo`, then the policy in the batched
+simulation (`evaluate`) and through the deployed chain in lock-step (`deploy`), before and after. A
+robot takes minutes; `--rows FILE` keeps what is finished, and goes on from it.
+
+    python benchmarks/calibrated_deployment.py --robots 50 --rows rows.jsonl --out results.json
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from calibrated_robots import UnknownRobot
+from common import argument_parser, print_result, progress, write_result
+
+from skewmi.cli.main import main as skewmi_command
+
+
+def command(*arguments: str) -> dict[str, Any]:
+    """What a command prints with --json; an empty document if it was refused."""
+    with redirect_stdout(StringIO()) as out, redirect_stderr(StringIO()):
+        skewmi_command([*arguments, "--json"])
+    lines = out.getvalue().strip()
+    try:
+        document: dict[str, Any] = json.loads(lines)
+    except ValueError:
+        return {}
+    return document
+
+
+def one_robot(args: argparse.Namespace, number: int) -> dict[str, Any]:
+    rng = np.random.default_rng([args.seed, number])
+    robot = json.loads(UnknownRobot.draw(rng).variation())
+    robot["box_pose"] = {
+        name: float(args.pose * rng.uniform(-bound, bound))
+        for name, bound in (("x", 0.005), ("y", 0.005), ("yaw_deg", 3.0))
+    }
+    robot["sensors"] = {"joint_noise": 1e-4}
+    row: dict[str, Any] = {"number": number, "robot": robot}
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        file, recording, known = (
+            str(folder / n) for n in ("robot.yaml", "excitation.mcap", "calibration.yaml")
+        )
+        # JSON is YAML.
+        Path(file).write_text(json.dumps(robot))
+        begin = time.perf_counter()
+        excited = command(
+            *("calibrate", "excite", "--variation", file, "--lock-step"),
+            *("--seconds", str(args.seconds), "--seed", str(number), "--out", recording),
+        )
+        row["excite"] = {k: excited.get(k) for k in ("stops", "usage", "missed_cycles")}
+        row["excite_s"] = time.perf_counter() - begin
+        begin = time.perf_counter()
+        servo = command("calibrate", "servo", recording, "--out", known)
+        row["servo_s"] = time.perf_counter() - begin
+        row["residual_rms_rad"] = servo.get("residual_rms_rad")
+        for when, more in (("before", ()), ("after", ("--calibration", known))):
+            varied = ("--variation", file, *more)
+            seed = ("--seed", str(args.seed))
+            if args.simulated:
+                told = command(
+                    *("evaluate", args.policy, *varied, *seed),
+                    *("--episodes", str(args.simulated)),
+                )
+                row[f"simulated_{when}"] = told.get("successes", 0)
+            told = command(
+                *("deploy", args.policy, "--lock-step", *varied, *seed),
+                *("--episodes", str(args.episodes)),
+            )
+            row[f"deployed_{when}"] = told.get("successes", 0)
+            row[f"stops_{when}"] = told.get("stops")
+            row[f"contact_{when}"] = {
+                name: metrics["max"] for name, metrics in told.get("contact", {}).items()
+            }
+    return row
+
+
+def summary(args: argparse.Namespace, rows: list[dict[str, Any]]) -> dict[str, Any]:
+    result: dict[str, Any] = {"robots": len(rows)}
+    for where, episodes in (("simulated", args.simulated), ("deployed", args.episodes)):
+        for when in ("before", "after"):
+            counts = [row.get(f"{where}_{when}", 0) for row in rows]
+            result[f"{where}_{when}"] = f"{sum(counts)} of {episodes * len(rows)}"
+            if when == "after":
+                result[f"{where}_robots_always"] = sum(count == episodes for count in counts)
+    for name in ("hand_force_peak_n", "hand_force_mean_n", "arm_force_peak_n"):
+        values = [row["contact_after"][name] for row in rows if name in row["contact_after"]]
+        result[f"{name}_after"] = max(values, default=None)
+    return result
+
+
+def main() -> None:
+    parser = argument_parser(__doc__)
+    parser.add_argument("--policy", default="open_press_close")
+    parser.add_argument("--robots", type=int, default=50)
+    parser.add_argument("--seconds", type=float, default=30.0, help="of excitation")
+    parser.add_argument("--episodes", type=int, default=2, help="deployed, of each robot")
+    parser.add_argument("--simulated", type=int, default=20, help="episodes; 0 for none")
+    parser.add_argument("--pose", type=float, default=1.0, help="part of the box's displacement")
+    parser.add_argument("--rows", type=Path, default=None, help="file of finished robots (JSONL)")
+    args = parser.parse_args()
+    rows = []
+    if args.rows is not None and args.rows.is_file():
+        rows = [json.loads(line) for line in args.rows.read_text().splitlines()]
+    for number in range(len(rows), args.robots):
+        row = one_robot(args, number)
+        rows.append(row)
+        if args.rows is not None:
+            with args.rows.open("a") as file:
+                file.write(json.dumps(row) + "\n")
+        progress(
+            f"robot {number}: simulated {row.get('simulated_before')} -> "
+            f"{row.get('simulated_after')} of {args.simulated}, deployed "
+            f"{row['deployed_before']} -> {row['deployed_after']} of {args.episodes}"
+        )
+    keys = ("policy", "robots", "seconds", "episodes", "simulated", "pose")
+    document = write_result(
+        "calibrated_deployment",
+        {"summary": summary(args, rows), "each": rows},
+        args.out,
+        seed=args.seed,
+        config={key: getattr(args, key) for key in keys},
+    )
+    print_result(document, as_json=args.json)
+
+
+if __name__ == "__main__":
+    main()
