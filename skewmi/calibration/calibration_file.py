@@ -27,6 +27,7 @@ from skewmi.calibration.calibration_values import (
 from skewmi.errors import ConfigurationError, NotFoundError
 from skewmi.outputs import check_output, written_aside
 from skewmi.robot_models import yumi
+from skewmi.yaml_text import parse_yaml
 
 SCHEMA = "skewmi-calibration-1"
 LARGEST_FILE = 100_000
@@ -145,9 +146,6 @@ def read_calibration(path: str | Path) -> Calibration:
         ConfigurationError: It cannot be read, is not YAML, is of another schema or robot model,
             or has a key or a value that is not allowed; the message names it.
     """
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
     try:
         with Path(path).open("rb") as file:
             raw = file.read(LARGEST_FILE + 1)
@@ -160,11 +158,7 @@ def read_calibration(path: str | Path) -> Calibration:
         raise NotFoundError(f"no calibration file {path}; `skewmi calibrate` makes one") from error
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"calibration file {path} cannot be read: {error}") from error
-    try:
-        content = YAML(typ="safe", pure=True).load(text)
-    except (YAMLError, ValueError, RecursionError) as error:
-        summary = " ".join(str(error).split())
-        raise ConfigurationError(f"calibration file {path} is not YAML: {summary}") from error
+    content = parse_yaml(text, f"calibration file {path}")
     try:
         return Calibration.of_mapping(content)
     except ConfigurationError as error:

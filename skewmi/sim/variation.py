@@ -22,6 +22,7 @@ import numpy as np
 
 from skewmi.errors import ConfigurationError, NotFoundError
 from skewmi.policy_io import Array
+from skewmi.yaml_text import parse_yaml
 
 _FOLDER = "variations"
 """Where a package keeps the files that come with it."""
@@ -198,14 +199,7 @@ class Variations:
         Raises:
             ConfigurationError: It is not YAML, or a key or value is not allowed.
         """
-        from ruamel.yaml import YAML
-        from ruamel.yaml.error import YAMLError
-
-        try:
-            content = YAML(typ="safe", pure=True).load(text)
-        except (YAMLError, ValueError) as error:
-            summary = " ".join(str(error).split())
-            raise ConfigurationError(f"{name} is not YAML: {summary}") from error
+        content = parse_yaml(text, name)
         return self._checked({} if content is None else content, name)
 
     def resolve(self, variation: ModelVariation | str | Path | None) -> ModelVariation:
