@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from skewmi.cli import numbers
 from skewmi.cli.policies import task_options
-from skewmi.cli.task_flags import variation_option
+from skewmi.cli.task_flags import calibration_option, variation_option
 from skewmi.cli.train_options import TrainCommand, changed_flags, origin_config
 from skewmi.errors import ConfigurationError
 from skewmi.train.checkpoint import read_checkpoint, read_run_header
@@ -16,6 +16,9 @@ from skewmi.train.registry import entry_of
 from skewmi.train.run import started_from
 
 MAX_STEPS = 10**12
+
+_ROBOT_OPTIONS = ("variation", "calibration")
+"""Task options that say what the robot is and what is known of it, each with a flag."""
 
 
 def _refuse_changes(
@@ -62,14 +65,14 @@ def begun_from(options: TrainCommand, config: TrainConfig) -> TrainConfig:
     why = f"--start-from takes task and numbers from the run in {options.start_from}"
     _refuse_changes(options, config, why)
     origin = started_from(options.start_from, read_checkpoint(options.start_from))
-    nominal = tuple((k, v) for k, v in config.task_options if k != "variation")
+    nominal = tuple((k, v) for k, v in config.task_options if k not in _ROBOT_OPTIONS)
     return replace(
         config,
         started_from=origin,
         seed=options.seed or 0,
         device=options.device or "cpu",
         threads=1 if options.threads is None else options.threads,
-        task_options=nominal + tuple(variation_option(config.task, options.variation).items()),
+        task_options=nominal + tuple(_robot_options(options, config.task).items()),
     )
 
 
@@ -89,14 +92,21 @@ def resumed(options: TrainCommand, config: TrainConfig) -> TrainConfig:
             config.started_from.rpartition(", step ")[0] or "none",
         ),
     )
-    recorded = dict(config.task_options).get("variation")
-    given = variation_option(config.task, options.variation).get("variation")
-    if options.variation is not None and given != recorded:
-        raise ConfigurationError(
-            f"--variation {options.variation} is not what the run in {options.run_dir} was "
-            "started with; leave --variation out to continue it, or use another directory"
-        )
+    recorded, given = dict(config.task_options), _robot_options(options, config.task)
+    for name in _ROBOT_OPTIONS:
+        value = getattr(options, name)
+        if value is not None and given.get(name) != recorded.get(name):
+            raise ConfigurationError(
+                f"--{name} {value} is not what the run in {options.run_dir} was "
+                f"started with; leave --{name} out to continue it, or use another directory"
+            )
     return config
+
+
+def _robot_options(options: TrainCommand, task: str) -> dict[str, str]:
+    """The task options that say what the robot is and what is known of it."""
+    varied = variation_option(task, options.variation)
+    return varied | calibration_option(task, options.calibration)
 
 
 def begun(options: TrainCommand, config: TrainConfig) -> TrainConfig:
@@ -111,7 +121,7 @@ def begun(options: TrainCommand, config: TrainConfig) -> TrainConfig:
             raise ConfigurationError(
                 f"--option {name}: {value!r} is not a number, a word or true or false"
             )
-    varied = variation_option(config.task, options.variation)
+    varied = _robot_options(options, config.task)
     return replace(
         config,
         seed=options.seed or 0,

@@ -80,6 +80,9 @@ class TrainCommand(Origin):
     """How robot and scene differ from the nominal ones: a variation file (YAML), or the name of
     one that comes with the task, as `randomised`. What it says is saved with the run, and --resume
     keeps it."""
+    calibration: Path | None = None
+    """What is known of the robot, whatever it is: a calibration file (YAML) of `skewmi calibrate`.
+    Its servos get feed-forward from it. Saved and kept like the variation."""
     threads: int | None = None
     """Threads of the tensor library and of the simulation; default: 1."""
     device: Literal["cpu", "cuda"] | None = None

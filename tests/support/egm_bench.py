@@ -20,6 +20,7 @@ from skewmi.deploy.safety.checks import limit_check
 from skewmi.deploy.safety.validation import ChunkValidator, ValidationRules
 from skewmi.deploy.wire.messages import encode_chunk
 from skewmi.robot_models import limits as joint_limits
+from skewmi.robot_models.feed_forward import FeedForward
 from skewmi.trajectory import GRID_NS, TrajectoryChunk
 
 LAB = joint_limits.profile("lab")
@@ -31,9 +32,11 @@ RAMP_CYCLES = 30
 class Bench:
     """A bridge and its controller, cycle by cycle; time goes on with the controller's packets."""
 
-    def __init__(self, options: EgmOptions | None = None) -> None:
+    def __init__(
+        self, options: EgmOptions | None = None, feed_forward: FeedForward | None = None
+    ) -> None:
         self.options = options or EgmOptions(listen="127.0.0.1:0", listen_left="none")
-        self.backend = EgmBackend(self.options, FixedGripper(0.014))
+        self.backend = EgmBackend(self.options, FixedGripper(0.014), feed_forward=feed_forward)
         rules = ValidationRules(joint_names=self.backend.joint_names, grid_ns=GRID_NS)
         speed = self.backend.admitted_speed
         validator = ChunkValidator(rules, limit_check(LAB, None, speed))
