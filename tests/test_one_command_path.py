@@ -113,6 +113,9 @@ class RecordedArm:
     def check_scene(self) -> None:
         pass
 
+    def begin_episode(self) -> None:
+        pass
+
     def hand_position(self, state: ArmState) -> Array:
         return state.q
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 
 import numpy as np
 
@@ -24,3 +25,18 @@ def fingerprint(calibration: Calibration) -> str:
     """Sixteen hexadecimal digits by which two parties see whether they mean the same one."""
     text = json.dumps(calibration.as_mapping(), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def lid_bias(calibration: Calibration) -> float | None:
+    """What a shut lid's sensor reads, rad; None if that was not measured.
+
+    Then it is told by the first reading of each episode: the lid is shut there.
+    """
+    scene = calibration.scene
+    if scene is None or scene.lid_bias_deg.assumed[0]:
+        return None
+    return math.radians(scene.lid_bias_deg.value[0])
+
+
+LARGEST_LID_BIAS = math.radians(20.0)
+"""A first reading that is farther from shut is no bias, rad: the lid is open."""

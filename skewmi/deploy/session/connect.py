@@ -85,7 +85,8 @@ def connect(
     robot.delay = ArmDelay(agreement.delay_s)
     _tell(agreement.note, report, tell)
 
-    observer = Observer.open(link, layout, described, trust.senders, options.lead_ms / 1e3)
+    lead_s = options.lead_ms / 1e3
+    observer = Observer.open(link, layout, described, trust.senders, lead_s, known)
     flange_speed = described.limits.get(FLANGE_SPEED, (TCP_SPEED_LIMIT,))[0]
     times, checks = CycleTimes(), ChunkChecks(limits, workspace, flange_speed)
     stream = ChunkStream(

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import time
 
+from skewmi.calibration.calibration_file import Calibration
 from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.session.arm_state import ArmState, ArmStateDecoder
+from skewmi.deploy.session.lid_zero import LidZero
 from skewmi.deploy.session.scene_states import MAX_SCENE_AGE_S, SceneStates, StaleStateError
 from skewmi.deploy.session.timing import BUSY_ADVICE
 from skewmi.deploy.wire import topics
@@ -65,6 +67,7 @@ class Observer:
         lock_step: Take every state in order, however old, instead of the newest.
         state_period_s: How often the robot server publishes, s.
         max_age_s: Of a joint state, before the arm stops, s; see `allowed_age_s`.
+        zero: Of the scene's hinges, if something is known of the robot.
     """
 
     def __init__(
@@ -77,7 +80,9 @@ class Observer:
         lock_step: bool,
         state_period_s: float,
         max_age_s: float = MAX_JOINT_AGE_S,
+        zero: LidZero | None = None,
     ) -> None:
+        self._zero = zero
         self._joints = joints
         self._decoder = decoder
         self._scene = scene
@@ -96,6 +101,7 @@ class Observer:
         server: RobotDescription,
         senders: Senders,
         lead_s: float,
+        known: Calibration | None = None,
     ) -> Observer:
         """Subscribe to the states of the right arm and of the scene on an open link.
 
@@ -105,6 +111,7 @@ class Observer:
             server: What the robot server says about itself and its scene.
             senders: Who is believed.
             lead_s: From a state to the motion that answers it, s.
+            known: Of robot and scene.
         """
         lock_step = server.lock_step
         # Not only the newest in real time either: that may be somebody else's.
@@ -125,6 +132,7 @@ class Observer:
             lock_step=lock_step,
             state_period_s=server.state_period_ns / 1e9,
             max_age_s=allowed_age_s(lead_s),
+            zero=None if known is None else LidZero(known, layout),
         )
 
     def next_state(self) -> ArmState | None:
@@ -199,6 +207,11 @@ class Observer:
         """
         self._scene.check(None if self._arm is None else self._arm.stamp_ns)
 
+    def begin_episode(self) -> None:
+        """The policy is about to see its first observation: the scene is as a task begins."""
+        if self._zero is not None:
+            self._zero.begin(self._scene.values)
+
     def _first_state(self) -> ArmState:
         """The next joint state, be it the last one: in lock-step the same state is repeated."""
         self._arm = None
@@ -225,15 +238,16 @@ class Observer:
             step: Index of the control step within the episode.
         """
         assert self._layout is not None, "opened without a layout"
-        values: dict[str, float] = {
+        values = self._scene.values
+        fields: dict[str, float] = {
             "hand_x": hand_position_w[0],
             "hand_y": hand_position_w[1],
             "hand_z": hand_position_w[2],
             "gripper": state.gripper,
             TIME_FIELD: step / self._layout.episode_steps,
-            **self._scene.values,
+            **(values if self._zero is None else self._zero.taken_off(values)),
         }
-        return assemble_observation(self._layout, values)
+        return assemble_observation(self._layout, fields)
 
     def _take(self) -> ArmState | None:
         """The next unread state: the oldest in lock-step, else the newest."""

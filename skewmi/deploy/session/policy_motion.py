@@ -95,6 +95,7 @@ class PolicyMotion:
             self.commander.resume()
             return
         self._begun = True
+        self._observer.begin_episode()
         self._policy.reset()
         self.commander.start()
 

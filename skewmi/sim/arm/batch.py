@@ -71,7 +71,8 @@ class ArmBatch:
                 their own: the start positions are those of the nominal model. Reward and success
                 are of the true state; the observation is what its sensors say.
             calibration: What is known of the robot, whatever the variation says that it is: a
-                calibration, its file, or the JSON of one. The servos get feed-forward from it.
+                calibration, its file, or the JSON of one. The servos get feed-forward from it, and
+                hinges of the scene are read from their zero.
 
         Raises:
             ConfigurationError: A number is out of its range, or the variation or the calibration

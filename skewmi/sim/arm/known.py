@@ -6,10 +6,14 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from skewmi.calibration.calibration_file import Calibration, read_calibration
-from skewmi.calibration.calibration_use import servo_constants
+from skewmi.calibration.calibration_use import LARGEST_LID_BIAS, lid_bias, servo_constants
 from skewmi.errors import ConfigurationError
+from skewmi.policy_io import Array
 from skewmi.robot_models.feed_forward import FeedForward
+from skewmi.sim.arm.arm_task import SensedJoint
 
 
 @dataclass(frozen=True)
@@ -54,3 +58,25 @@ class Known:
         """Of the servos, without limits; None if they were not calibrated."""
         constants = servo_constants(self.calibration)
         return None if constants is None else FeedForward(constants, None)
+
+    def zero(self, joints: tuple[SensedJoint, ...], errors: Array | None) -> Array | None:
+        """What to take off the readings of the scene's joints in an episode.
+
+        Hinges alone have a zero: what the calibration says of the lid, or else what the first
+        reading is off by, since it is known where the scene stands then.
+
+        Args:
+            joints: Of the scene.
+            errors: Of the first reading, shape (n, joints); None if the sensors are ideal.
+
+        Returns:
+            In the joints' units, shape (n, joints) or (joints,); None if there is nothing.
+        """
+        hinges = np.array([joint.field.unit == "rad" for joint in joints])
+        bias = lid_bias(self.calibration)
+        if bias is not None:
+            return np.where(hinges, bias, 0.0)
+        if errors is None:
+            return None
+        zero: Array = np.where(hinges & (np.abs(errors) <= LARGEST_LID_BIAS), errors, 0.0)
+        return zero

@@ -54,7 +54,7 @@ class ArmPhysics:
         seed: int,
         known: Known | None = None,
     ) -> None:
-        self.scene = scene
+        self.scene, self._known = scene, known
         self.batch = Batch(scene.physics_model, num_envs, num_threads)
         feed_forward = None if known is None else known.feed_forward()
         self.command = CommandPath(layout, scene, num_envs, feed_forward)
@@ -86,6 +86,10 @@ class ArmPhysics:
         self.batch.warning[:] = 0
         self._sensordata[:] = 0.0
         self._read_sensors()
+        self._zero: Array | None = None
+        if self._known is not None:
+            errors = None if self._errors is None else self._errors[1]
+            self._zero = self._known.zero(self.scene.task.joints, errors)
 
     def step(self, action: Array) -> None:
         """Take a control step; where a hand is blocked, its command waits for it.
@@ -156,11 +160,19 @@ class ArmPhysics:
         return self.scene.observation_values(self._qpos, self.hand_position_w)
 
     def with_errors(self, values: Mapping[str, Any]) -> dict[str, Any] | None:
-        """These values as the scene's sensors have them; None if every sensor is ideal."""
-        if self._errors is None:
+        """These values as the scene's sensors have them, less the zero that is known of them.
+
+        None if every sensor is ideal and nothing is taken off.
+        """
+        if self._errors is None and self._zero is None:
             return None
+        off = np.zeros((self.batch.nsim, len(self.scene.task.joints)))
+        if self._errors is not None:
+            off += self._errors[1]
+        if self._zero is not None:
+            off -= self._zero
         seen = dict(values)
-        for joint, error in zip(self.scene.task.joints, self._errors[1].T, strict=True):
+        for joint, error in zip(self.scene.task.joints, off.T, strict=True):
             seen[joint.field.name] = seen[joint.field.name] + error
         return seen
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 from calibrations import full_calibration
 from unknown_robots import exact_calibration
 
-from skewmi.calibration.calibration_file import Calibration, write_calibration
+from skewmi.calibration.calibration_file import Calibration, Constant, write_calibration
 from skewmi.calibration.calibration_use import servo_constants
 from skewmi.errors import ConfigurationError, NotFoundError
 from skewmi.policy_io import Array
@@ -101,3 +102,39 @@ def test_it_is_given_as_a_file_or_as_what_the_file_says(tmp_path: Path) -> None:
     for wrong in ("{", '{"schema": 1}', 3):
         with pytest.raises(ConfigurationError, match="calibration"):
             Known.of(wrong)  # type: ignore[arg-type]
+
+
+LID, BUTTON = 4, 5
+"""Columns of the observation."""
+
+
+@pytest.mark.parametrize("measured", [False, True])
+def test_the_lid_is_read_from_its_zero_and_nothing_else_is(measured: bool) -> None:
+    robot = {"sensors": {"lid_bias_deg": 8.0, "button_noise": 0.001}}
+    known = exact_calibration()
+    if measured:
+        bias = Constant((8.0,), (8.0,), (8.0,), (False,))
+        scene = full_calibration().scene
+        assert scene is not None
+        known = dataclasses.replace(known, scene=dataclasses.replace(scene, lid_bias_deg=bias))
+    seen = {}
+    for calibration in (None, known):
+        env = ArmBatch(
+            ARM, 2, num_threads=1, seed=3, variation=json.dumps(robot), calibration=calibration
+        )
+        rows = [env.reset()] + [env.step(np.zeros((2, 3))).observation for _ in range(3)]
+        seen[calibration is None] = np.array(rows)
+    np.testing.assert_allclose(seen[True][..., LID], np.radians(8.0), atol=1e-3)
+    # The first observation is the reading that the zero is taken from.
+    np.testing.assert_allclose(seen[False][..., LID], 0.0, atol=1e-3)
+    np.testing.assert_array_equal(seen[False][..., BUTTON], seen[True][..., BUTTON])
+
+
+def test_a_known_bias_is_taken_off_though_the_sensor_is_ideal() -> None:
+    scene = full_calibration().scene
+    assert scene is not None
+    bias = Constant((5.0,), (5.0,), (5.0,), (False,))
+    scene = dataclasses.replace(scene, lid_bias_deg=bias)
+    known = dataclasses.replace(exact_calibration(), scene=scene)
+    env = ArmBatch(ARM, 1, num_threads=1, calibration=known)
+    assert env.reset()[0, LID] == pytest.approx(-np.radians(5.0))
