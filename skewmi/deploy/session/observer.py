@@ -132,7 +132,7 @@ class Observer:
             lock_step=lock_step,
             state_period_s=server.state_period_ns / 1e9,
             max_age_s=allowed_age_s(lead_s),
-            zero=None if known is None else LidZero(known, layout),
+            zero=None if known is None or layout is None else LidZero(known, layout),
         )
 
     def next_state(self) -> ArmState | None:
