@@ -95,7 +95,12 @@ def summary(args: argparse.Namespace, rows: list[dict[str, Any]]) -> dict[str, A
             result[f"{where}_{when}"] = f"{sum(counts)} of {episodes * len(rows)}"
             if when == "after":
                 result[f"{where}_robots_always"] = sum(count == episodes for count in counts)
-    for name in ("hand_force_peak_n", "hand_force_mean_n", "arm_force_peak_n"):
+    for name in (
+        "hand_force_peak_n",
+        "hand_force_standing_n",
+        "arm_force_peak_n",
+        "outside_box_mm",
+    ):
         values = [row["contact_after"][name] for row in rows if name in row["contact_after"]]
         result[f"{name}_after"] = max(values, default=None)
     return result
