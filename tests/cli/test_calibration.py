@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 from unknown_robots import exact_calibration
 
-from skewmi.calibration.calibration_file import write_calibration
+from skewmi.calibration.calibration_file import read_calibration, write_calibration
+from skewmi.calibration.calibration_use import fingerprint
 from skewmi.cli.main import main
+from skewmi.deploy.robot.process import free_port
 from skewmi.robot_models import yumi
 from skewmi.sim.arm.known import Known
 from skewmi.train.checkpoint import read_run_header
@@ -79,3 +83,14 @@ def test_who_has_no_use_for_one_says_so(
 ) -> None:
     assert main([*arguments, "--calibration", str(file)]) == 2
     assert said in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_robot_server_tells_which_calibration_it_uses(file: Path) -> None:
+    command = [sys.executable, "-m", "skewmi.cli.main", "robot", "--json", "--end-with-input"]
+    command += ["--listen", f"tcp/127.0.0.1:{free_port()}", "--calibration", str(file)]
+    pipe = subprocess.PIPE
+    robot = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True)
+    assert robot.stdout is not None
+    told = json.loads(robot.stdout.readline())
+    robot.communicate(timeout=60.0)
+    assert told["calibration"] == fingerprint(read_calibration(file))
