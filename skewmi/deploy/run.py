@@ -166,6 +166,7 @@ def _metadata(options: DeployOptions, policy: Policy, link: Link, trust: Trust) 
         limit_profile=limits.name,
         robot_model_hash=yumi.MODEL_HASH,
         **({} if options.variation is None else {"variation": options.variation}),
+        **({} if options.calibration is None else {"calibration": str(options.calibration)}),
     )
 
 

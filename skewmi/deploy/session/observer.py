@@ -82,8 +82,7 @@ class Observer:
         max_age_s: float = MAX_JOINT_AGE_S,
         zero: LidZero | None = None,
     ) -> None:
-        self._zero = zero
-        self._joints = joints
+        self._joints, self._zero = joints, zero
         self._decoder = decoder
         self._scene = scene
         self._layout = layout
@@ -208,7 +207,7 @@ class Observer:
         self._scene.check(None if self._arm is None else self._arm.stamp_ns)
 
     def begin_episode(self) -> None:
-        """The policy is about to see its first observation: the scene is as a task begins."""
+        """The policy is about to see its first observation."""
         if self._zero is not None:
             self._zero.begin(self._scene.values)
 
@@ -238,14 +237,14 @@ class Observer:
             step: Index of the control step within the episode.
         """
         assert self._layout is not None, "opened without a layout"
-        values = self._scene.values
+        scene = self._scene.values
         fields: dict[str, float] = {
             "hand_x": hand_position_w[0],
             "hand_y": hand_position_w[1],
             "hand_z": hand_position_w[2],
             "gripper": state.gripper,
             TIME_FIELD: step / self._layout.episode_steps,
-            **(values if self._zero is None else self._zero.taken_off(values)),
+            **(scene if self._zero is None else self._zero.taken_off(scene)),
         }
         return assemble_observation(self._layout, fields)
 

@@ -44,8 +44,7 @@ class EgmBackend:
         options: Of the bridge.
         gripper: Of the right arm; None if there is none.
         scene: What is known of what stands before it; None if nothing is.
-        feed_forward: Of the arm, if it is known how it follows: what is answered is not the plan
-            then but ahead of it, while the speed reference stays the plan's.
+        feed_forward: Of a known arm: positions run ahead of the plan, speeds stay the plan's.
     """
 
     name = "egm"

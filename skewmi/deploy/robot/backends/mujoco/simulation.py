@@ -133,9 +133,8 @@ class ArmSimulation:
             BackendFaultError: MuJoCo found a state that is not physical.
         """
         controls = self.scene.controls(self.command.q, 0.0, self.command.v)
-        if self._feed_forward is not None:
-            sent = self._feed_forward.step(self.command.q, self.command.v)
-            controls[self.scene.arm_ctrl] = sent
+        if (law := self._feed_forward) is not None:
+            controls[self.scene.arm_ctrl] = law.step(self.command.q, self.command.v)
         controls[self.scene.finger_ctrl] = self._finger_target
         self._data.ctrl[:] = self._drive.arriving(controls)
         if self._stribeck is not None:
