@@ -12,6 +12,7 @@ import tyro
 from skewmi.calibration.calibration_file import Calibration, read_calibration
 from skewmi.calibration.report import NamedRecording, report_html
 from skewmi.calibration.servo_model import ServoModel
+from skewmi.cli import numbers
 from skewmi.cli.calibrate_recordings import RecordedExcitation, read_excitation
 from skewmi.outputs import check_output, written_aside
 from skewmi.sim.arm.servos import CONTACT_SERVO
@@ -39,6 +40,7 @@ class Report:
 
 def run_report(options: Report) -> int:
     """Read, draw, write. Returns 0."""
+    numbers.require("--threads", options.threads, 1, numbers.MAX_THREADS)
     check_output(
         options.out,
         overwrite=options.overwrite,

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from skewmi.cli import calibrate
 from skewmi.cli.main import COMMANDS, main
 from skewmi.sim.tasks.registry import MAX_SEED
 
@@ -25,6 +26,10 @@ BEFORE: dict[str, list[str]] = {
     "film": ["{t}/absent.mcap"],
     "certificates": ["--out", "{t}/certificates", "--host", "localhost"],
     "doctor": ["--quick"],
+    "calibrate excite": ["--out", "{t}/excitation.mcap"],
+    "calibrate servo": ["{t}/absent.mcap", "--out", "{t}/calibration.yaml"],
+    "calibrate report": ["{t}/absent.yaml", "--out", "{t}/calibration.html"],
+    "calibrate ranges": ["{t}/absent.yaml", "--out", "{t}/variation.yaml"],
 }
 """What else a command needs; places that it could work with do not exist."""
 
@@ -33,9 +38,10 @@ FLOATS = ("-1", "nan", "inf", "-inf")
 
 
 def numeric_options(command: str) -> list[tuple[str, type]]:
-    """Options of a command that take a number."""
-    module = importlib.import_module(f"skewmi.cli.{command.replace('-', '_')}")
-    name = "".join(part.title() for part in command.split("-")) + "Command"
+    """Options of a command, or of a step of one, that take a number."""
+    first, _, step = command.partition(" ")
+    module = importlib.import_module(f"skewmi.cli.{first.replace('-', '_')}")
+    name = step.title() or "".join(part.title() for part in command.split("-")) + "Command"
     options = getattr(module, name)
     hints = typing.get_type_hints(options)
     found = []
@@ -46,16 +52,25 @@ def numeric_options(command: str) -> list[tuple[str, type]]:
     return found
 
 
+def steps(command: str) -> list[str]:
+    """The command itself, or its steps."""
+    if command != "calibrate":
+        return [command]
+    step = typing.get_type_hints(calibrate.CalibrateCommand)["step"]
+    return [f"{command} {kind.__name__.lower()}" for kind in typing.get_args(step)]
+
+
 CASES = [
     (command, option, value)
-    for command in COMMANDS
+    for given in COMMANDS
+    for command in steps(given)
     for option, kind in numeric_options(command)
     for value in (INTEGERS if kind is int else FLOATS)
 ]
 
 
 def test_every_command_is_looked_at() -> None:
-    assert set(BEFORE) == set(COMMANDS)
+    assert set(BEFORE) == {step for command in COMMANDS for step in steps(command)}
     looked_at = {option for _, option, _ in CASES}
     assert {"seed", "dpi", "rate", "port", "domain", "minutes"} <= looked_at
 
@@ -70,9 +85,13 @@ def test_bad_number_is_one_line(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     words = [word.format(t=tmp_path, r=maze_run) for word in BEFORE[command]]
-    assert main([command, *words, f"--{option}", value]) == 2
+    assert main([*command.split(), *words, f"--{option}", value]) == 2
     captured = capsys.readouterr()
-    lines = [line for line in captured.err.splitlines() if line.startswith(f"skewmi {command}: ")]
+    lines = [
+        line
+        for line in captured.err.splitlines()
+        if line.startswith(f"skewmi {command.split()[0]}: ")
+    ]
     assert len(lines) == 1, captured.err
     assert "Traceback" not in captured.err
     assert option.replace("-", "_") in lines[0].replace("-", "_"), "names another culprit"
