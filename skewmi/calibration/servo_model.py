@@ -15,6 +15,7 @@ from math import isfinite
 import mujoco
 import numpy as np
 from mujoco import rollout
+from numpy.typing import NDArray
 
 from skewmi.calibration.servo_recording import ServoRecording
 from skewmi.errors import ConfigurationError, SimulationError
@@ -40,6 +41,15 @@ class DelayedServo:
             raise ConfigurationError(
                 f"servo delay is {self.delay_s} s; it must be within 0..{LONGEST_DELAY_S:g} s"
             )
+
+
+@dataclass(frozen=True, eq=False)
+class ModelledArm:
+    """A compiled arm, and where its seven joints are in it, chain order."""
+
+    model: mujoco.MjModel
+    qpos: NDArray[np.intp]
+    actuators: NDArray[np.intp]
 
 
 class ServoModel:
@@ -128,6 +138,10 @@ class ServoModel:
         if not np.isfinite(states).all():
             raise SimulationError("the simulation of a servo candidate left the finite numbers")
         return states[..., 1 + self._qpos], states[..., 1 + nq + self._dof]
+
+    def arm(self, parameters: ServoParameters) -> ModelledArm:
+        """The arm with given servos, for whoever steps it."""
+        return ModelledArm(self._with(parameters), self._qpos, self._actuators)
 
     def _with(self, parameters: ServoParameters) -> mujoco.MjModel:
         model = copy.copy(self._model)

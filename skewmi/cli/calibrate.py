@@ -1,6 +1,7 @@
 """Identify one robot and its scene, and say how well they are known.
 
-`excite` moves the joints and records them, `servo` identifies the servos from that, `report` draws
+`excite` moves the joints and records them, `servo` identifies the servos from that, `scene`
+finds where the box stands, `report` draws
 what a calibration rests on, `ranges` turns its intervals into a variation to train with. A
 calibration is what is known of a robot (--calibration of evaluate, train, robot, deploy); what a
 simulated robot is says --variation.
@@ -16,11 +17,13 @@ import tyro
 from skewmi.cli.calibrate_excite import Excite, run_excite
 from skewmi.cli.calibrate_ranges import Ranges, run_ranges
 from skewmi.cli.calibrate_report import Report, run_report
+from skewmi.cli.calibrate_scene import Scene, run_scene
 from skewmi.cli.calibrate_servo import Servo, run_servo
 
 Step = (
     Annotated[Excite, tyro.conf.subcommand(name="excite", prefix_name=False)]
     | Annotated[Servo, tyro.conf.subcommand(name="servo", prefix_name=False)]
+    | Annotated[Scene, tyro.conf.subcommand(name="scene", prefix_name=False)]
     | Annotated[Report, tyro.conf.subcommand(name="report", prefix_name=False)]
     | Annotated[Ranges, tyro.conf.subcommand(name="ranges", prefix_name=False)]
 )
@@ -41,6 +44,8 @@ def run_calibrate(options: CalibrateCommand) -> int:
         return run_excite(step)
     if isinstance(step, Servo):
         return run_servo(step)
+    if isinstance(step, Scene):
+        return run_scene(step)
     if isinstance(step, Report):
         return run_report(step)
     return run_ranges(step)

@@ -129,7 +129,7 @@ def run_joint_motion(
     stop = threading.Event() if stop is None else stop
     tell = (lambda text: None) if on_event is None else on_event
     report = JointMotionReport()
-    with _robot_server(options, tell) as locator:
+    with robot_server(options, tell) as locator:
         config = TransportConfig.for_client(
             locator,
             domain=options.domain,
@@ -143,9 +143,10 @@ def run_joint_motion(
     return report
 
 
-def _robot_server(
+def robot_server(
     options: JointMotionOptions, tell: Callable[[str], None]
 ) -> AbstractContextManager[str | None]:
+    """Where to connect to; the simulated robot, if none is named, runs as long as the context."""
     if options.connect is not None or options.zenoh_config is not None:
         return nullcontext(options.connect)
     tell("starting the simulated robot in its own process")

@@ -161,8 +161,12 @@ class ChunkStream:
 
     def commanded(self, stamp_ns: int) -> Array:
         """Joint angles that were commanded for a time not long ago, rad. Shape (7,)."""
+        return self.commanded_point(stamp_ns).q
+
+    def commanded_point(self, stamp_ns: int) -> JointPoint:
+        """Joint motion that was commanded for a time not long ago."""
         newest = (chunk for chunk in reversed(self._history) if chunk.stamp_ns <= stamp_ns)
-        return _commanded_by(next(newest, self._history[0]), stamp_ns).q
+        return _commanded_by(next(newest, self._history[0]), stamp_ns)
 
     @property
     def rest_ns(self) -> int:

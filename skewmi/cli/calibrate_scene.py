@@ -1,0 +1,290 @@
+"""`skewmi calibrate scene`: touches the box, and says where it stands."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from skewmi import __version__
+from skewmi.calibration.calibration_file import (
+    Calibration,
+    SceneCalibration,
+    read_calibration,
+    write_calibration,
+)
+from skewmi.calibration.contact_watch import ContactWatch
+from skewmi.calibration.scene_fit import SceneFit, Touch, fit_scene
+from skewmi.calibration.scene_section import scene_section, scene_warnings, touch_of
+from skewmi.calibration.scene_sources import read_marker, read_points
+from skewmi.calibration.servo_model import DelayedServo, ServoModel
+from skewmi.calibration.servo_prediction import ServoPrediction
+from skewmi.calibration.servo_section import servo_start
+from skewmi.cli import numbers
+from skewmi.cli.interrupt import stop_on_signal
+from skewmi.cli.scene_shapes import SceneBox, nominal_box
+from skewmi.cli.scene_touches import TouchPlanner
+from skewmi.cli.task_flags import variation_option
+from skewmi.deploy.joint_motion import JointMotionOptions
+from skewmi.deploy.robot.description import RobotDescription
+from skewmi.deploy.session.touch_run import PlannedTouch
+from skewmi.deploy.touch_motion import TouchReport, run_touches
+from skewmi.deploy.wire.domain import ros_domain
+from skewmi.errors import ConfigurationError
+from skewmi.outputs import check_output
+from skewmi.robot_models import limits as joint_limits
+from skewmi.sim import tasks
+from skewmi.sim.arm.servos import CONTACT_SERVO
+
+LARGEST_FORCE_LIMIT = 15.0
+"""N."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Find where the box stands by touching its sides, and what its shut lid's sensor reads.
+
+    The simulated robot is started if none is named. The hand touches three sides of the box twice
+    each, at 10 mm/s at most, and returns. Exit code 0 done, 1 stopped or not found, 2 bad input.
+    """
+
+    connect: str | None = None
+    """Zenoh locator of a running `skewmi robot`, such as tcp/127.0.0.1:7447."""
+    zenoh_config: Path | None = None
+    """Zenoh configuration file that tells how to reach a running `skewmi robot`."""
+    domain: int | None = None
+    """ROS 2 domain, 0..232; by default ROS_DOMAIN_ID, else 0."""
+    variation: str | None = None
+    """What the simulated robot that is started is: a variation file or a bundled name."""
+    lock_step: bool = False
+    """Robot server and session wait for each other: as fast as possible and repeatable."""
+    limits: str = "lab"
+    """Joint limit profile: lab or careful."""
+    lead_ms: float = 24.0
+    """Time from a robot state to the motion that answers it, ms, a multiple of 4 in 8..100."""
+    calibration: Path | None = None
+    """What is known of the servos; its section is kept in what is written."""
+    force_limit: float = 10.0
+    """More than that, as estimated, ends the run, N, 1..15."""
+    points: Path | None = None
+    """Points of the box's sides instead of touching: CSV file with columns face, x, y, z."""
+    marker: Path | None = None
+    """A marker on the box instead of touching: YAML file."""
+    out: Path = Path("calibration.yaml")
+    """Calibration to write."""
+    overwrite: bool = False
+    """Replace an existing calibration."""
+    json: bool = False
+    """Print one JSON document on the last line."""
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What is known at the end."""
+
+    fit: SceneFit
+    faces: Sequence[str]
+    report: TouchReport | None
+    lid: tuple[float, float] | None
+
+
+def run_scene(options: Scene) -> int:
+    """Touch, solve, write, tell. Returns the exit code."""
+    before = _checked(options)
+    console = Console(stderr=True)
+
+    def tell(text: str) -> None:
+        console.print(text, highlight=False, markup=False)
+
+    begun = datetime.now(UTC)
+    if options.points is not None or options.marker is not None:
+        found = _told(options)
+    else:
+        touched = _touched(options, before, tell)
+        if isinstance(touched, int):
+            return touched
+        found = touched
+    lid_bias, lid_sigma = (None, 0.0) if found.lid is None else found.lid
+    section = scene_section(found.fit, lid_bias, lid_sigma)
+    known = before is not None and before.servo is not None
+    warnings = scene_warnings(found.fit, found.faces, known or found.report is None)
+    written = _merged(before, section, found, warnings, begun)
+    write_calibration(options.out, written, overwrite=options.overwrite)
+    seconds = (datetime.now(UTC) - begun).total_seconds()
+    document = _document(options, section, found, seconds)
+    if options.json:
+        print(json.dumps(document))
+    else:
+        _print(document, warnings, Console())
+    return 0
+
+
+def _checked(options: Scene) -> Calibration | None:
+    joint_limits.profile(options.limits)
+    numbers.require("--force-limit", options.force_limit, 1.0, LARGEST_FORCE_LIMIT)
+    if options.points is not None and options.marker is not None:
+        raise ConfigurationError("--points and --marker say the same: give one of them")
+    if options.connect is not None and options.zenoh_config is None and options.variation:
+        raise ConfigurationError(
+            "--variation is of the simulated robot that is started; give it to the skewmi robot "
+            "that --connect names"
+        )
+    inputs = [options.points, options.marker, options.zenoh_config]
+    check_output(options.out, overwrite=options.overwrite, inputs=inputs)
+    return None if options.calibration is None else read_calibration(options.calibration)
+
+
+def _told(options: Scene) -> _Found:
+    """From a file, for the box of the default task; nothing moves."""
+    box = nominal_box()
+    if options.marker is not None:
+        middle = next(iter(box.faces.values())).middle
+        return _Found(read_marker(options.marker, middle), (), None, None)
+    assert options.points is not None
+    touches = read_points(options.points, box.faces)
+    return _Found(fit_scene(touches), [t.face.name for t in touches], None, None)
+
+
+def _touched(
+    options: Scene, before: Calibration | None, tell: Callable[[str], None]
+) -> _Found | int:
+    """By touching; the exit code if that was stopped or did not come to a result."""
+    servo = DelayedServo(CONTACT_SERVO, 0.0)
+    if before is not None and before.servo is not None:
+        servo = servo_start(before.servo, CONTACT_SERVO)
+    model = ServoModel(CONTACT_SERVO.kd / CONTACT_SERVO.kp)
+    watch = ContactWatch(ServoPrediction(servo, model))
+    boxes: list[SceneBox] = []
+
+    def plan(described: RobotDescription) -> list[PlannedTouch]:
+        tell("planning the touches")
+        limits = joint_limits.profile(options.limits)
+        planner = TouchPlanner(described, limits, servo.parameters, tell)
+        boxes.append(planner.box)
+        return planner.touches()
+
+    task = tasks.default()
+    motion_options = JointMotionOptions(
+        task=task,
+        connect=options.connect,
+        zenoh_config=options.zenoh_config,
+        variation=variation_option(task, options.variation).get("variation"),
+        domain=ros_domain(options.domain),
+        lock_step=options.lock_step,
+        limits=options.limits,
+        lead_ms=options.lead_ms,
+    )
+    with stop_on_signal() as stop:
+        report = run_touches(
+            plan, watch, motion_options, options.force_limit, stop=stop, on_event=tell
+        )
+    if report.stops or report.interrupted:
+        for text in report.stops:
+            tell(text)
+        if options.json:
+            print(json.dumps({"stops": report.stops, "largest_force_n": report.largest_force}))
+        return 130 if report.interrupted else 1
+    try:
+        touches = [_touch(boxes[0], reading) for reading in report.readings]
+        fit = fit_scene(touches)
+    except ConfigurationError as error:
+        tell(str(error))
+        if options.json:
+            print(json.dumps({"stops": [str(error)], "largest_force_n": report.largest_force}))
+        return 1
+    lid = boxes[0].lid
+    read = None if lid not in report.scene else (report.scene[lid], report.scene_scatter[lid])
+    return _Found(fit, [touch.face.name for touch in touches], report, read)
+
+
+def _touch(box: SceneBox, reading: Any) -> Touch:
+    face = box.faces[reading.touch.face]
+    return touch_of(face, reading.touch.top, reading.q, reading.opening)
+
+
+def _merged(
+    before: Calibration | None,
+    section: SceneCalibration,
+    found: _Found,
+    warnings: tuple[str, ...],
+    now: datetime,
+) -> Calibration:
+    """A calibration with this scene, and all else that was known."""
+    checks = {"scene_chi_squared": found.fit.chi_squared}
+    if len(found.fit.residuals):
+        checks["scene_residual_rms_m"] = float(np.sqrt((found.fit.residuals**2).mean()))
+    if found.report is not None:
+        checks["scene_largest_force_n"] = found.report.largest_force
+    created = now.isoformat(timespec="seconds")
+    if before is None:
+        return Calibration(created, __version__, scene=section, checks=checks, warnings=warnings)
+    kept = {name: value for name, value in before.checks.items() if not name.startswith("scene_")}
+    return replace(
+        before,
+        created=created,
+        version=__version__,
+        scene=section,
+        checks=kept | checks,
+        warnings=tuple(dict.fromkeys((*before.warnings, *warnings))),
+    )
+
+
+def _document(
+    options: Scene, section: SceneCalibration, found: _Found, seconds: float
+) -> dict[str, Any]:
+    numbers_of = section.as_mapping()
+    pose: dict[str, Any] = {
+        name: {key: numbers_of[name][key] for key in ("value", "low", "high")}  # type: ignore[index]
+        for name in ("x", "y", "yaw_deg")
+    }
+    report = found.report
+    forces = (
+        [None] * len(found.faces) if report is None else [r.peak_force for r in report.readings]
+    )
+    return {
+        "box_pose": {**pose, "covariance": numbers_of["covariance"]},
+        "touches": [
+            {
+                "face": face,
+                "point_m": point.tolist(),
+                "residual_mm": 1e3 * float(residual),
+                "peak_force_n": force,
+            }
+            for face, point, residual, force in zip(
+                found.faces, found.fit.points, found.fit.residuals, forces, strict=True
+            )
+        ],
+        "largest_force_n": None if report is None else report.largest_force,
+        "lid_bias_deg": numbers_of["lid_bias_deg"],
+        "seconds": seconds,
+        "robot_seconds": None if report is None else report.seconds,
+        "contact": {} if report is None else report.contact,
+        "missed_cycles": None if report is None else report.missed_cycles,
+        "usage": None if report is None else report.usage.as_dict(),
+        "out": str(options.out),
+    }
+
+
+def _print(document: dict[str, Any], warnings: Sequence[str], console: Console) -> None:
+    pose = document["box_pose"]
+    console.print("the box stands off its nominal place by (95 % intervals)")
+    for name, scale, unit in (("x", 1e3, "mm"), ("y", 1e3, "mm"), ("yaw_deg", 1.0, "degrees")):
+        value, low, high = (scale * pose[name][key] for key in ("value", "low", "high"))
+        console.print(f"  {name:8s}{value:+8.3f} ({low:+.3f} to {high:+.3f}) {unit}")
+    lid = document["lid_bias_deg"]
+    console.print(
+        f"the shut lid reads {lid['value']:.2f} ({lid['low']:.2f} to {lid['high']:.2f}) deg"
+    )
+    for touch in document["touches"]:
+        force = touch["peak_force_n"]
+        pressed = "" if force is None else f", pressed with {force:.1f} N"
+        console.print(f"  {touch['face']:6s} {touch['residual_mm']:+.3f} mm off{pressed}")
+    for warning in warnings:
+        console.print(f"warning: {warning}", markup=False)
+    console.print(f"wrote {document['out']}", markup=False)

@@ -1,0 +1,358 @@
+"""Touches things: over each of them in the calibration workspace, then slowly in that for touching.
+
+One touch: a way in joint space high over the scene, down to just above it, down beside a face, and
+creeping towards it until the finger meets it; and back the same way. Everything is looked at before
+the arm is moved, every chunk once more before it is sent, and every chunk ends at rest.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from skewmi.deploy.motion.joint_path import JointPath
+from skewmi.deploy.motion.path_motion import PathMotion
+from skewmi.deploy.realtime import hot_loop
+from skewmi.deploy.safety.checks import SpaceChecks
+from skewmi.deploy.safety.limits import LimitUsage
+from skewmi.deploy.session.arm_state import ArmState
+from skewmi.deploy.session.control_loop import ControlLoop
+from skewmi.deploy.session.guarded_motion import GuardedMotion, HoldStill, Watch
+from skewmi.deploy.session.interrupt import StopRequestedError, check_interrupt
+from skewmi.deploy.session.joint_run import KnownMotion
+from skewmi.deploy.session.observer import Observer
+from skewmi.deploy.session.readiness import wait_until_ready
+from skewmi.deploy.session.refused import LateChunkError
+from skewmi.deploy.session.robot_client import RobotClient
+from skewmi.deploy.session.states import SessionEvent
+from skewmi.deploy.session.status import SessionStatus
+from skewmi.deploy.session.stream import ChunkStream
+from skewmi.deploy.session.timing import BUSY_ADVICE
+from skewmi.errors import CommandRefusedError, ConfigurationError, SkewmiError, TransportError
+from skewmi.policy_io import Array
+from skewmi.robot_models.limits import JointLimits
+from skewmi.trajectory import JointPoint, JointTrajectory
+
+ATTEMPTS = 20
+"""How often a motion is taken up again where it stopped because a chunk came too late."""
+CLOSING_NS = 1_500_000_000
+"""How long closing the fingers may take, ns."""
+SPEED_SHARE = 0.95
+"""Part of a workspace's speed that is used."""
+_SPACING = 0.02
+"""Of the places of a path that are looked at beforehand, as a part of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedTouch:
+    """One touch, as paths that follow one another.
+
+    Attributes:
+        face: Name of what is touched.
+        normal: Of it, outwards, base frame. Shape (3,).
+        top: Height up to which it is there, base frame, m.
+        lower: From high over the scene to just above it.
+        down: From there to beside the face.
+        creep: From there towards and into it.
+    """
+
+    face: str
+    normal: Array
+    top: float
+    lower: JointPath
+    down: JointPath
+    creep: JointPath
+
+
+@dataclass(frozen=True, eq=False)
+class TouchReading:
+    """What was measured at rest in contact.
+
+    Attributes:
+        touch: Which it was.
+        q: Mean of the measured joints, rad. Shape (7,).
+        scatter: Their standard deviation, rad. Shape (7,).
+        opening: Mean of the measured travel of each finger, m.
+        peak_force: Largest estimate, N.
+    """
+
+    touch: PlannedTouch
+    q: Array
+    scatter: Array
+    opening: float
+    peak_force: float
+
+
+class SwitchedChecks:
+    """Checks of the workspace that holds now.
+
+    Args:
+        spaces: By the workspace's name.
+        flange_speed: That the robot admits, m/s.
+
+    Attributes:
+        speeds: Of flange and tips in each, m/s.
+        now: Name of the workspace that holds.
+    """
+
+    def __init__(self, spaces: dict[str, SpaceChecks], flange_speed: float) -> None:
+        self.spaces = spaces
+        self.speeds = {name: min(s.space.speed, flange_speed) for name, s in spaces.items()}
+        self.now = next(iter(spaces))
+
+    @property
+    def stages(self) -> Sequence[tuple[str, Callable[..., LimitUsage | None]]]:
+        """As `SpaceChecks`."""
+        return tuple((name, self._stage(name)) for name in ("check", "guard"))
+
+    def _stage(self, name: str) -> Callable[..., LimitUsage | None]:
+        def judge(
+            samples: JointTrajectory, before: JointPoint, earlier: Array
+        ) -> LimitUsage | None:
+            return dict(self.spaces[self.now].stages)[name](samples, before, earlier)
+
+        return judge
+
+
+@dataclass(frozen=True, eq=False)
+class TouchSettings:
+    """How to touch.
+
+    Attributes:
+        limits: Of the joints.
+        above, beside: Names of the workspaces.
+        speeds: Of flange and tips in each, m/s.
+        creep_speed: Towards a face, m/s.
+        force_limit: N.
+        opening: Of the fingers, m.
+        tool_z: Of their tips on the flange's axis, m.
+    """
+
+    limits: JointLimits
+    above: str
+    beside: str
+    speeds: dict[str, float]
+    creep_speed: float
+    force_limit: float
+    opening: float
+    tool_z: float
+
+
+class TouchRun:
+    """Some touches, from preflight to rest; the parts are as `JointRun`'s.
+
+    Args:
+        robot, observer, stream, loop: Of the session.
+        checks: What every chunk has to pass.
+        settings: How to touch.
+        watch: Says when something is met.
+        status: Told what happens.
+        stop: Set from outside to end the run.
+        lock_step: Whether the robot waits.
+        tell: Told in words what happens.
+
+    Attributes:
+        readings: Of the touches that were made.
+        largest_force: That was told anywhere, N.
+    """
+
+    def __init__(
+        self,
+        robot: RobotClient,
+        observer: Observer,
+        stream: ChunkStream,
+        loop: ControlLoop,
+        checks: SwitchedChecks,
+        settings: TouchSettings,
+        watch: Watch,
+        status: SessionStatus,
+        stop: threading.Event,
+        *,
+        lock_step: bool,
+        tell: Callable[[str], None],
+    ) -> None:
+        self._robot, self._observer, self._stream, self._loop = robot, observer, stream, loop
+        self._checks, self._settings, self._watch = checks, settings, watch
+        self._status, self._stop, self._tell = status, stop, tell
+        self._lock_step = lock_step
+        self.readings: list[TouchReading] = []
+        self.largest_force = 0.0
+
+    def run(self, touches: Sequence[PlannedTouch]) -> list[str]:
+        """Make them; the arm goes back to where it was.
+
+        Returns:
+            Why it was stopped, if it was. Whatever ends it, nothing has been sent since.
+        """
+        stops: list[str] = []
+        try:
+            with hot_loop(priority=not self._lock_step):
+                self._carry_out(touches)
+        except TransportError as error:
+            stops.append(str(error))
+            self._status.fire(SessionEvent.FAULT, str(error))
+        except (StopRequestedError, SkewmiError) as error:
+            stops.append(str(error))
+            self._status.fire(SessionEvent.STOP, str(error))
+        else:
+            self._status.fire(SessionEvent.TIME_OVER, "everything is touched")
+        try:
+            self._robot.disarm()
+        except SkewmiError as error:
+            stops.append(str(error))
+            self._status.fire(SessionEvent.FAULT, str(error))
+        self._status.fire(SessionEvent.AT_REST, "after touching")
+        self._status.fire(SessionEvent.FINISH, "the run is over")
+        return stops
+
+    def _carry_out(self, touches: Sequence[PlannedTouch]) -> None:
+        """Raises SkewmiError for whatever ends it early."""
+        check_interrupt(self._stop)
+        self._robot.meet()
+        wait_until_ready(self._robot, self._stop, dry_run=False)
+        before = self._resting()
+        self._look_at(touches, before)
+        state = self._enter(self._settings.above)
+        self._q = self._resting()
+        self._look_at(touches[:1], self._q)
+        self._status.fire(SessionEvent.READY, "every way is free")
+        self._robot.open_gripper(self._settings.opening, state.stamp_ns)
+        state = self._loop.run(HoldStill(self._stream, CLOSING_NS), self._q, state)
+        for number, touch in enumerate(touches, 1):
+            way = JointPath.line(self._q, touch.lower.at(0.0))
+            state = self._move(way, 0.0, way.length, state)
+            if number == 1:
+                self._status.fire(SessionEvent.AT_START, "over the first touch")
+            self._tell(f"touch {number} of {len(touches)}: face {touch.face}")
+            state = self._touch(touch, state)
+        way = JointPath.line(self._q, before)
+        self._tell("moving back")
+        self._move(way, 0.0, way.length, state)
+
+    def _touch(self, touch: PlannedTouch, state: ArmState) -> ArmState:
+        state = self._move(touch.lower, 0.0, touch.lower.length, state)
+        state = self._enter(self._settings.beside)
+        state, met = self._guarded(touch.down, np.array([0.0, 0.0, -1.0]), None, state)
+        if met.touched:
+            raise CommandRefusedError(
+                f"the hand met something on its way down beside the {touch.face} face: does the "
+                "box stand where it is believed to, within 6 mm and 4 degrees?"
+            )
+        speed = self._settings.creep_speed
+        state, met = self._guarded(touch.creep, -touch.normal, speed, state)
+        if not met.touched:
+            raise CommandRefusedError(
+                f"nothing was met at the {touch.face} face, {1e3 * touch.creep.length:.0f} mm far: "
+                "does the box stand where it is believed to, within 6 mm and 4 degrees?"
+            )
+        q = np.array([held.q for held in met.held])
+        opening = float(np.mean([held.gripper for held in met.held]))
+        self.readings.append(
+            TouchReading(touch, q.mean(axis=0), q.std(axis=0), opening, met.peak_force)
+        )
+        self._tell(f"touched the {touch.face} face with {met.peak_force:.1f} N")
+        state = self._move(touch.creep, touch.creep.nearest(self._q), 0.0, state)
+        state = self._move(touch.down, touch.down.length, 0.0, state)
+        state = self._enter(self._settings.above)
+        return self._move(touch.lower, touch.lower.length, 0.0, state)
+
+    def _enter(self, workspace: str) -> ArmState:
+        """Change the workspace, at rest."""
+        self._robot.arm(workspace=workspace)
+        self._checks.now = workspace
+        return self._observer.fresh_state()
+
+    def _move(self, path: JointPath, s: float, s_end: float, state: ArmState) -> ArmState:
+        """Follow a path from rest to rest."""
+        for attempt in range(ATTEMPTS):
+            s = s if not attempt else path.nearest(self._q)
+            motion = PathMotion(self._motion(path, s, s_end, None), self._settings.limits)
+            way = KnownMotion(motion, self._stream)
+            try:
+                state = self._loop.run(way, self._q, state)
+                if not way.late:
+                    self._q = motion.trajectory.q[-1]
+                    return state
+                self._q, state = self._loop.coast(state)
+            except LateChunkError:
+                self._q, state = self._loop.recover()
+        raise CommandRefusedError(f"{ATTEMPTS} motions came too late; {BUSY_ADVICE}")
+
+    def _guarded(
+        self, path: JointPath, direction: Array, speed: float | None, state: ArmState
+    ) -> tuple[ArmState, GuardedMotion]:
+        """Follow a path until something is met."""
+        s = 0.0
+        for attempt in range(ATTEMPTS):
+            s = s if not attempt else path.nearest(self._q)
+            motion = PathMotion(self._motion(path, s, path.length, speed), self._settings.limits)
+            guarded = GuardedMotion(
+                motion, direction, self._watch, self._stream, self._settings.force_limit
+            )
+            try:
+                state = self._loop.run(guarded, self._q, state)
+                if not guarded.late:
+                    assert self._stream.sent is not None
+                    self._q = self._stream.sent.trajectory.q[-1]
+                    return state, guarded
+                self._q, state = self._loop.coast(state)
+            except LateChunkError:
+                self._q, state = self._loop.recover()
+            finally:
+                self.largest_force = max(self.largest_force, guarded.peak_force)
+        raise CommandRefusedError(f"{ATTEMPTS} motions came too late; {BUSY_ADVICE}")
+
+    def _motion(
+        self, path: JointPath, s: float, s_end: float, speed: float | None
+    ) -> JointTrajectory:
+        settings = self._settings
+        fastest = SPEED_SHARE * settings.speeds[self._checks.now]
+        chosen = fastest if speed is None else min(speed, fastest)
+        return path.motion(s, s_end, settings.limits, chosen, settings.tool_z, self._q)
+
+    def _resting(self) -> Array:
+        """Where the robot server holds the arm, rad."""
+        description = self._robot.describe()
+        self._status.clock_ns = description.clock_ns
+        return np.array(description.commanded_position)
+
+    def _look_at(self, touches: Sequence[PlannedTouch], before: Array) -> None:
+        """Look at every path before any of it is followed.
+
+        Raises:
+            LimitViolationError: One leads through something, or out of its workspace.
+        """
+        q = before
+        for touch in touches:
+            way = JointPath.line(q, touch.lower.at(0.0))
+            above, beside = (way, touch.lower), (touch.down, touch.creep)
+            for name, paths in (
+                (self._settings.above, above),
+                (self._settings.beside, beside),
+            ):
+                for path in paths:
+                    check_interrupt(self._stop)
+                    self._look_along(self._checks.spaces[name], path)
+            q = touch.lower.at(0.0)
+        self._look_along(self._checks.spaces[self._settings.above], JointPath.line(q, before))
+
+    @staticmethod
+    def _look_along(space: SpaceChecks, path: JointPath) -> None:
+        for q in path.at(np.linspace(0.0, path.length, round(1.0 / _SPACING) + 1)):
+            rest = JointTrajectory.resting(q, 2)
+            start = JointPoint(q, np.zeros(7), np.zeros(7))
+            for _, check in space.stages:
+                check(rest, start, np.tile(q, (3, 1)))
+
+
+def require_touches(touches: Sequence[PlannedTouch]) -> None:
+    """Raises ConfigurationError if paths do not follow one another."""
+    for touch in touches:
+        for first, second in ((touch.lower, touch.down), (touch.down, touch.creep)):
+            if np.abs(first.at(first.length) - second.at(0.0)).max() > 1e-9:
+                raise ConfigurationError(
+                    f"the paths of a touch of the {touch.face} face do not follow one another"
+                )
