@@ -27,7 +27,7 @@ class MujocoScene:
         self.task = simulation.task
         self.layout_hashes = tuple(layout.hash() for _, layout in spec.layouts())
         self.workspace: Workspace = workspace_of(simulation.layout)
-        geometry = scene_geometry(simulation.scene.model, spec.scene_fields)
+        geometry = scene_geometry(simulation.nominal_model, spec.scene_fields)
         self.shapes_json = geometry.to_json()
 
     def state(self) -> SceneState:

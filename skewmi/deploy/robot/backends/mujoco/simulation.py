@@ -46,6 +46,8 @@ class ArmSimulation:
         feed_forward: Of the arm's servos, if they are known; the nominal ones' if not given.
 
     Attributes:
+        nominal_model: The model without what the variation changes: what is believed of it. Not to
+            be written to.
         link_errors: What the variation says of the way to the session, as the last reset drew it;
             None if nothing. Whoever publishes the states sees to it.
 
@@ -88,7 +90,7 @@ class ArmSimulation:
         )
         self._feed_forward = feed_forward
         self._variation = self.spec.variations.resolve(variation)
-        self._nominal_model = copy.copy(self.scene.model)
+        self.nominal_model = copy.copy(self.scene.model)
         self._opening_error = 0.0
         self._stribeck: Stribeck | None = None
         self.reset(seed=0)
@@ -206,7 +208,7 @@ class ArmSimulation:
     def _write_model(self, sample: VariationSample) -> None:
         """Make the model that of the values drawn, whatever it was before."""
         model = self.scene.model
-        fields = model_fields(self._nominal_model, self.scene.task.variations.keys, sample)
+        fields = model_fields(self.nominal_model, self.scene.task.variations.keys, sample)
         if self._variation.has(STICTION_SCALE):
             # Changed in every step: an episode starts from what it is in motion.
             sliding = fields.write("dof_frictionloss")[:, self.scene.arm_dof]
