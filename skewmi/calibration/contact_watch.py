@@ -8,9 +8,12 @@ and friction included. Seen at the finger tip along the way,
 is small and changes slowly in free space, for what the model has wrong (friction, mostly) is the
 same for as long as the joints turn the same way. In contact the finger stands still, and d grows
 as fast as the finger was to creep. So a touch is d more than `THRESHOLD` above its median over a
-while before. What this growth presses with: the servos are springs, and for a push F along n
+while before.
 
-    d = c F,    c = sum_j (n . J_j)^2 / kp_j
+What this growth presses with: the servos are springs, C = sum_j J_j J_j^T / kp_j. A finger that can
+slip along the face yields by n C n per newton, one that sticks to it by 1 / (n C^-1 n), and less
+if friction holds a joint, so that it is no spring. Which of these it is cannot be told from
+positions; the force is told for the stiffest: an upper estimate.
 """
 
 from __future__ import annotations
@@ -25,7 +28,7 @@ from skewmi.robot_models.kinematics import ArmKinematics
 from skewmi.robot_models.yumi import Array
 from skewmi.trajectory import JointTrajectory
 
-THRESHOLD = 0.5e-3
+THRESHOLD = 0.4e-3
 """Growth of the deviation that is a touch, m: noise of 1e-4 rad in each joint is 0.1 mm."""
 FREE_WAY = 0.008
 """Of the finger from where it rested, on which nothing can be in its way, m: joints that friction
@@ -44,6 +47,20 @@ def tip_jacobian(arm: ArmKinematics, q: Array) -> Array:
     return tip
 
 
+def stiffest(direction: Array, jacobian: Array, stiffness: Array) -> float:
+    """How stiff the finger tips can be along a direction, N/m: stuck sideways, or a joint held.
+
+    Args:
+        direction: Unit vector. Shape (3,).
+        jacobian: Of the tips. Shape (3, 7).
+        stiffness: Of the joints, N m/rad. Shape (7,).
+    """
+    compliance = (jacobian / stiffness) @ jacobian.T
+    sticking = float(direction @ np.linalg.solve(compliance, direction))
+    parts = (direction @ jacobian) ** 2 / stiffness
+    return max(sticking, 1.0 / float(parts.sum() - parts.max()))
+
+
 class ContactWatch:
     """Watches one guarded motion after the other.
 
@@ -53,7 +70,7 @@ class ContactWatch:
 
     Attributes:
         touched: Whether the motion has met something.
-        force: What it presses with now, along its way, N; never negative.
+        force: What it presses with now at most, along its way, N; never negative.
         deviation: By how much the finger stays behind, m.
     """
 
@@ -88,12 +105,13 @@ class ContactWatch:
             q: Measured, rad. Shape (7,).
         """
         predicted = self._prediction.step(commands)
-        row = self._direction @ tip_jacobian(self._arm, q)
+        jacobian = tip_jacobian(self._arm, q)
+        row = self._direction @ jacobian
         self.deviation = float(row @ (predicted - q))
         if not self.touched:
             self._judge(float(row @ (commands.q[-1] - self._from)) if len(commands) else 0.0)
         excess = max(self.deviation - self._normal, 0.0)
-        self.force = excess / float(row**2 @ (1.0 / self._stiffness))
+        self.force = excess * stiffest(self._direction, jacobian, self._stiffness)
 
     def _judge(self, way: float) -> None:
         self._past.append(self.deviation)

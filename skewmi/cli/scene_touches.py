@@ -18,7 +18,7 @@ from skewmi.deploy.safety.flange_space import FlangeSpace
 from skewmi.deploy.safety.guard import Guard
 from skewmi.deploy.session.touch_run import PlannedTouch
 from skewmi.deploy.touch_motion import CLOSED, touch_space
-from skewmi.errors import ConfigurationError
+from skewmi.errors import ConfigurationError, LimitViolationError
 from skewmi.robot_models import yumi
 from skewmi.robot_models.frames import HAND_DOWN, rotation_about
 from skewmi.robot_models.kinematics import ArmKinematics
@@ -39,14 +39,17 @@ INSET = 0.010
 """How far from where a face may end a finger stays, m: as much may an arm be off sideways."""
 OVER = 0.006
 """How far the finger tips are over what the workspace asks for when the hand turns slow, m."""
-HIGH = 0.035
-"""How much higher the ways between touches are, m."""
+HIGH, INWARD = 0.020, 0.5
+"""How much higher the ways between touches are, m, and which part of the way to the middle."""
 _FINGER_WIDTH = CLOSED + yumi.GRIPPER.finger_size[0]
 _FINGER_DEPTH = yumi.GRIPPER.finger_size[1] / 2.0
 _KEPT = 0.008
 """Clearance of the hand to what it does not touch, at the nominal place, m."""
 _NODES = 10
-_STARTS = 16
+_LOOKED_AT = 21
+_ALIKE = 0.05
+"""Configurations nearer than that to another are not tried, rad."""
+_STARTS = 12
 _LEAST_MARGIN, _LEAST_SINGULAR = 0.03, 0.035
 
 
@@ -72,9 +75,9 @@ class TouchPlanner:
         self._beside: FlangeSpace = touch_space(described)
         self.box = SceneBox.of(described.scene)
         self._faces = self.box.faces
-        self._guard = Guard(limits, None, obstacles=self.box.obstacles)
+        self._clearance = Guard(limits, clearance=_KEPT, obstacles=self.box.obstacles).clearance
         self._arm = ArmKinematics("right")
-        self._start = np.array(described.commanded_position)
+        self._from = np.array(described.commanded_position)
         self._random = np.random.default_rng(0)
 
     def touches(self) -> list[PlannedTouch]:
@@ -91,9 +94,11 @@ class TouchPlanner:
                 break
             if len(axes) == FACES_TOUCHED - 1 and set(axes) == {face.axis}:
                 continue
+            before = self._from
             try:
                 both = [self._touch(face, sign) for sign in (-1.0, 1.0)]
             except ConfigurationError as error:
+                self._from = before
                 self._tell(f"the {name} face is not touched: {error}")
                 continue
             planned += both
@@ -118,6 +123,8 @@ class TouchPlanner:
         inside = contact - (drift + UNTOLD) * face.normal
         above, high = beside.copy(), beside.copy()
         above[2] = self._above.fingers_above + OVER + TIP
+        # Over the box, where the arm has more room than beside it: neither folded nor stretched.
+        high[:2] += INWARD * (np.array(face.middle) - high[:2])
         high[2] = above[2] + HIGH
         reasons = "out of reach"
         for q in self._postures(face, beside):
@@ -127,6 +134,7 @@ class TouchPlanner:
             except ConfigurationError as error:
                 reasons = str(error)
                 continue
+            self._from = touch.lower.at(0.0)
             return touch
         raise ConfigurationError(reasons)
 
@@ -146,8 +154,11 @@ class TouchPlanner:
                 max_iterations=40,
             )
             reached = (result.position_error < 1e-5) & (result.rotation_error < 1e-5)
-            found += [q for q in result.q[reached] if self._is_mobile(q)]
-        return sorted(found, key=lambda q: float(np.abs(q - self._start).max()))
+            for q in result.q[reached]:
+                new = all(np.abs(q - other).max() > _ALIKE for other in found)
+                if new and self._is_mobile(q):
+                    found.append(q)
+        return sorted(found, key=lambda q: float(np.abs(q - self._from).max()))
 
     def _is_mobile(self, q: Array) -> bool:
         margin = np.minimum(q - self._limits.position_lower, self._limits.position_upper - q).min()
@@ -196,14 +207,18 @@ class TouchPlanner:
         return JointPath.through(np.array(rows), length)
 
     def _require_clear(self, touch: PlannedTouch) -> None:
-        """Raises ConfigurationError if the arm comes too near something on the way."""
-        for path, fingers_may in ((touch.down, False), (touch.creep, True)):
-            for q in path.at(np.linspace(0.0, path.length, 6)):
-                for first, second, distance in self._guard.clearance.distances(q):
-                    if distance > _KEPT:
-                        break
-                    if fingers_may and "finger" in first + second:
-                        continue
+        """Raises ConfigurationError if the arm comes too near something on the way there."""
+        way = JointPath.line(self._from, touch.lower.at(0.0))
+        try:
+            for path in (touch.down, touch.lower, way):
+                self._clearance.check(path.at(np.linspace(0.0, path.length, _LOOKED_AT)))
+        except LimitViolationError as error:
+            raise ConfigurationError(str(error)) from error
+        for q in touch.creep.at(np.linspace(0.0, touch.creep.length, 5)):
+            for first, second, distance in self._clearance.distances(q):
+                if distance > _KEPT:
+                    break
+                if "finger" not in first + second:
                     raise ConfigurationError(
                         f"{first} would come within {1e3 * distance:.0f} mm of {second}"
                     )

@@ -46,8 +46,8 @@ from skewmi.errors import ConfigurationError
 from skewmi.robot_models import limits as joint_limits
 from skewmi.robot_models import yumi
 
-CREEP_SPEED = 0.007
-"""Towards a face, m/s: while a touch is noticed and the arm stops, it goes on for 0.2 s."""
+CREEP_SPEED = 0.005
+"""Towards a face, m/s: while a touch is noticed and the arm stops, the command goes on by 1 mm."""
 CLOSED = yumi.GRIPPER.hook_length / 2.0
 """Travel of each finger at which the hook meets the other finger, m."""
 

@@ -93,6 +93,24 @@ class DrawnRobot:
         return ServoRecording(motion, np.array(times), np.array(positions))
 
 
+def known_servo(
+    servo: ServoParameters, delay_ms: float, error: float, rng: np.random.Generator
+) -> ServoCalibration:
+    """A calibration of servos that is wrong by up to a part of each constant, either way."""
+
+    def constant(values: Array) -> Constant:
+        off = values * (1.0 + error * rng.choice((-1.0, 1.0), len(values)))
+        low, high = off * (1.0 - 2.0 * error), off * (1.0 + 2.0 * error)
+        return Constant(*(tuple(row.tolist()) for row in (off, low, high)), (False,) * len(values))
+
+    kp, kd, friction = (constant(getattr(servo, n)) for n in ("kp", "kd", "frictionloss"))
+    ratios = [
+        constant(np.array(part.value) / np.array(kp.value)) for part in (kd, friction)
+    ]
+    armature = Constant(*(tuple(servo.armature.tolist()),) * 3, (True,) * 7)
+    return ServoCalibration(kp, kd, friction, armature, *ratios, constant(np.array([delay_ms])))
+
+
 def full_calibration() -> Calibration:
     """One with every section and numbers that YAML must not round."""
     rng = np.random.default_rng(5)

@@ -34,7 +34,7 @@ _NO_LENGTH = 1e-12
 
 def chebyshev_places(length: float, count: int) -> Array:
     """Where on [0, length] a path is to be known for `JointPath.through`. Shape (count,)."""
-    return np.asarray((1.0 + chebyshev.chebpts1(count)) * (length / 2.0))
+    return np.asarray((1.0 + chebyshev.chebpts2(count)) * (length / 2.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ class JointPath:
         """The path through configurations at `chebyshev_places`. Shape (k, 7)."""
         if not length > 0.0:
             raise ConfigurationError(f"a path's length is {length}; it must be positive")
-        places = chebyshev.chebpts1(len(q))
+        places = chebyshev.chebpts2(len(q))
         return JointPath(chebyshev.chebfit(places, q, len(q) - 1), length)
 
     def reversed(self) -> JointPath:

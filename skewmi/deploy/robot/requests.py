@@ -139,6 +139,9 @@ class RobotRequests:
                 f"no workspace {printable(name)!r} before this robot's scene; there are: "
                 f"{', '.join(controller.workspaces)}"
             )
+        if name != controller.lease.workspace:
+            # What was sent last may go on resting for a while.
+            controller.arm_motion.drop_what_has_not_begun()
         if name != controller.lease.workspace and not controller.at_rest:
             raise CommandRefusedError("the arm is moving; another workspace is granted at rest")
         if name != TASK and scene is not None:

@@ -40,6 +40,8 @@ ATTEMPTS = 20
 """How often a motion is taken up again where it stopped because a chunk came too late."""
 CLOSING_NS = 1_500_000_000
 """How long closing the fingers may take, ns."""
+RESTED_NS = 60_000_000
+"""After what the robot server knows that the arm rests, ns: several equal samples."""
 SPEED_SHARE = 0.95
 """Part of a workspace's speed that is used."""
 _SPACING = 0.02
@@ -234,7 +236,7 @@ class TouchRun:
 
     def _touch(self, touch: PlannedTouch, state: ArmState) -> ArmState:
         state = self._move(touch.lower, 0.0, touch.lower.length, state)
-        state = self._enter(self._settings.beside)
+        state = self._enter(self._settings.beside, state)
         state, met = self._guarded(touch.down, np.array([0.0, 0.0, -1.0]), None, state)
         if met.touched:
             raise CommandRefusedError(
@@ -256,11 +258,13 @@ class TouchRun:
         self._tell(f"touched the {touch.face} face with {met.peak_force:.1f} N")
         state = self._move(touch.creep, touch.creep.nearest(self._q), 0.0, state)
         state = self._move(touch.down, touch.down.length, 0.0, state)
-        state = self._enter(self._settings.above)
+        state = self._enter(self._settings.above, state)
         return self._move(touch.lower, touch.lower.length, 0.0, state)
 
-    def _enter(self, workspace: str) -> ArmState:
+    def _enter(self, workspace: str, state: ArmState | None = None) -> ArmState:
         """Change the workspace, at rest."""
+        if state is not None:
+            self._loop.run(HoldStill(self._stream, RESTED_NS), self._q, state)
         self._robot.arm(workspace=workspace)
         self._checks.now = workspace
         return self._observer.fresh_state()
