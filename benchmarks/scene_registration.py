@@ -39,7 +39,9 @@ ERRORS = {"error_mm": 0.3, "error_deg": 0.05, "hand_force_peak_n": 15.0, "arm_fo
 def one_pose(args: argparse.Namespace, number: int, folder: Path) -> dict[str, Any]:
     rng = np.random.default_rng([args.seed, number])
     drawn = DrawnRobot.draw(rng)
-    friction = np.concatenate((drawn.frictionloss[:4], WRIST_FRICTION / 2.0 * drawn.frictionloss[4:]))
+    friction = np.concatenate(
+        (drawn.frictionloss[:4], WRIST_FRICTION / 2.0 * drawn.frictionloss[4:])
+    )
     robot = DrawnRobot(drawn.kp_scale, drawn.kd_scale, friction, drawn.delay_ms)
     x, y = rng.uniform(-SHIFT, SHIFT, 2)
     yaw_deg = float(np.degrees(rng.uniform(-TURN, TURN)))

@@ -104,9 +104,7 @@ def known_servo(
         return Constant(*(tuple(row.tolist()) for row in (off, low, high)), (False,) * len(values))
 
     kp, kd, friction = (constant(getattr(servo, n)) for n in ("kp", "kd", "frictionloss"))
-    ratios = [
-        constant(np.array(part.value) / np.array(kp.value)) for part in (kd, friction)
-    ]
+    ratios = [constant(np.array(part.value) / np.array(kp.value)) for part in (kd, friction)]
     armature = Constant(*(tuple(servo.armature.tolist()),) * 3, (True,) * 7)
     return ServoCalibration(kp, kd, friction, armature, *ratios, constant(np.array([delay_ms])))
 
