@@ -22,6 +22,7 @@ from skewmi.calibration.scene_faces import FACES, Face
 from skewmi.calibration.scene_fit import SceneFit, Touch, require_credible
 from skewmi.errors import ConfigurationError, NotFoundError
 from skewmi.robot_models.yumi import Array
+from skewmi.yaml_text import parse_yaml
 
 POINT_SIGMA = 0.1e-3
 """Of a point that was touched with a hand-guided arm, by itself, m."""
@@ -89,14 +90,7 @@ def read_marker(path: str | Path, middle: tuple[float, float]) -> SceneFit:
         NotFoundError: There is no such file.
         ConfigurationError: It is not as above, or the box would be beyond belief.
     """
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
-    try:
-        content = YAML(typ="safe", pure=True).load(_text(path, "marker file"))
-    except (YAMLError, ValueError, RecursionError) as error:
-        summary = " ".join(str(error).split())
-        raise ConfigurationError(f"marker file {path} is not YAML: {summary}") from error
+    content = parse_yaml(_text(path, "marker file"), f"marker file {path}")
     try:
         entries = mapping_of(content, "the file")
         checked_keys(entries, "the file", ("measured", "nominal", "covariance"))

@@ -51,7 +51,7 @@ class Scene:
     """Find where the box stands by touching its sides, and what its shut lid's sensor reads.
 
     The simulated robot is started if none is named. The hand touches three sides of the box twice
-    each, at 10 mm/s at most, and returns. Exit code 0 done, 1 stopped or not found, 2 bad input.
+    each at 5 mm/s, and returns. Exit code 0 done, 1 stopped or not found, 2 bad input.
     """
 
     connect: str | None = None
@@ -130,10 +130,14 @@ def _checked(options: Scene) -> Calibration | None:
     numbers.require("--force-limit", options.force_limit, 1.0, LARGEST_FORCE_LIMIT)
     if options.points is not None and options.marker is not None:
         raise ConfigurationError("--points and --marker say the same: give one of them")
-    if options.connect is not None and options.zenoh_config is None and options.variation:
+    if not (8.0 <= options.lead_ms <= 100.0 and (options.lead_ms / 4.0).is_integer()):
+        raise ConfigurationError(
+            f"--lead-ms is {options.lead_ms}; it must be a multiple of 4 in 8..100"
+        )
+    if (options.connect or options.zenoh_config) is not None and options.variation:
         raise ConfigurationError(
             "--variation is of the simulated robot that is started; give it to the skewmi robot "
-            "that --connect names"
+            "that --connect or --zenoh-config names"
         )
     inputs = [options.points, options.marker, options.zenoh_config]
     check_output(options.out, overwrite=options.overwrite, inputs=inputs)
