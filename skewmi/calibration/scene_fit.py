@@ -108,7 +108,8 @@ def fit_scene(touches: Sequence[Touch]) -> SceneFit:
     inverse = np.linalg.inv(slopes.T @ weight @ slopes)
     freedom = len(touches) - 3
     chi_squared = float(gaps @ weight @ gaps) / freedom if freedom else 0.0
-    return SceneFit(pose, inverse * max(1.0, chi_squared), gaps, points, chi_squared)
+    widened: Array = np.asarray(inverse * max(1.0, chi_squared), dtype=np.float64)
+    return SceneFit(pose, widened, gaps, points, chi_squared)
 
 
 def _gaps(touches: Sequence[Touch], pose: Array) -> tuple[Array, Array, Array]:

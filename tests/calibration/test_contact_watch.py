@@ -58,9 +58,9 @@ def test_a_finger_that_stands_still_is_noticed_and_no_other(seed: int) -> None:
     start = commands.q[0]
     robot = ServoPrediction(servo, MODEL)
     robot.begin(start, start)
+    firsts = range(0, len(commands) - CYCLE_TICKS, CYCLE_TICKS)
     free = [start]
-    for first in range(0, len(commands) - CYCLE_TICKS, CYCLE_TICKS):
-        free.append(robot.step(commands.part(slice(first, first + CYCLE_TICKS))))
+    free += [robot.step(commands.part(slice(first, first + CYCLE_TICKS))) for first in firsts]
     noise = rng.normal(0.0, NOISE, (len(free), 7))
 
     row = direction @ tip_jacobian(ARM, start)
