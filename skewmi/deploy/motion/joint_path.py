@@ -52,7 +52,8 @@ class JointPath:
     @staticmethod
     def line(q_start: Array, q_end: Array) -> JointPath:
         """A straight line in joint space, of length 1."""
-        return JointPath(np.array([(q_start + q_end) / 2.0, (q_end - q_start) / 2.0]), 1.0)
+        ends: Array = np.array([0.5 * (q_start + q_end), 0.5 * (q_end - q_start)])
+        return JointPath(ends, 1.0)
 
     @staticmethod
     def through(q: Array, length: float) -> JointPath:
@@ -60,12 +61,14 @@ class JointPath:
         if not length > 0.0:
             raise ConfigurationError(f"a path's length is {length}; it must be positive")
         places = chebyshev.chebpts2(len(q))
-        return JointPath(chebyshev.chebfit(places, q, len(q) - 1), length)
+        coefficients: Array = chebyshev.chebfit(places, q, len(q) - 1)
+        return JointPath(coefficients, length)
 
     def reversed(self) -> JointPath:
         """The same way back."""
-        odd = (-1.0) ** np.arange(len(self.coefficients))
-        return JointPath(odd[:, None] * self.coefficients, self.length)
+        mirrored = self.coefficients.copy()
+        mirrored[1::2] *= -1.0
+        return JointPath(mirrored, self.length)
 
     def at(self, s: Array | float, derivative: int = 0) -> Array:
         """q or a derivative by s. Shape (..., 7)."""
