@@ -29,6 +29,7 @@ BEFORE: dict[str, list[str]] = {
     "calibrate excite": ["--out", "{t}/excitation.mcap"],
     "calibrate servo": ["{t}/absent.mcap", "--out", "{t}/calibration.yaml"],
     "calibrate report": ["{t}/absent.yaml", "--out", "{t}/calibration.html"],
+    "calibrate scene": ["--out", "{t}/calibration.yaml"],
     "calibrate ranges": ["{t}/absent.yaml", "--out", "{t}/variation.yaml"],
 }
 """What else a command needs; places that it could work with do not exist."""
