@@ -33,7 +33,7 @@ from skewmi.cli.scene_touches import TouchPlanner
 from skewmi.cli.task_flags import variation_option
 from skewmi.deploy.joint_motion import JointMotionOptions
 from skewmi.deploy.robot.description import RobotDescription
-from skewmi.deploy.session.touch_run import PlannedTouch
+from skewmi.deploy.session.touch_plan import PlannedTouch
 from skewmi.deploy.touch_motion import TouchReport, run_touches
 from skewmi.deploy.wire.domain import ros_domain
 from skewmi.errors import ConfigurationError

@@ -16,7 +16,7 @@ from skewmi.deploy.motion.joint_path import JointPath, chebyshev_places
 from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.safety.flange_space import FlangeSpace
 from skewmi.deploy.safety.guard import Guard
-from skewmi.deploy.session.touch_run import PlannedTouch
+from skewmi.deploy.session.touch_plan import PlannedTouch
 from skewmi.deploy.touch_motion import CLOSED, touch_space
 from skewmi.errors import ConfigurationError, LimitViolationError
 from skewmi.robot_models import yumi

@@ -30,14 +30,14 @@ from skewmi.deploy.session.states import SessionEvent
 from skewmi.deploy.session.status import SessionStatus
 from skewmi.deploy.session.stream import ChunkStream
 from skewmi.deploy.session.timing import CycleTimes
-from skewmi.deploy.session.touch_run import (
+from skewmi.deploy.session.touch_plan import (
     PlannedTouch,
     SwitchedChecks,
     TouchReading,
-    TouchRun,
     TouchSettings,
     require_touches,
 )
+from skewmi.deploy.session.touch_run import TouchRun
 from skewmi.deploy.session.trust import Trust
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.messages import decode_joint_states
