@@ -61,7 +61,7 @@ class JointPath:
         if not length > 0.0:
             raise ConfigurationError(f"a path's length is {length}; it must be positive")
         places = chebyshev.chebpts2(len(q))
-        coefficients: Array = chebyshev.chebfit(places, q, len(q) - 1)
+        coefficients = np.asarray(chebyshev.chebfit(places, q, len(q) - 1), dtype=np.float64)
         return JointPath(coefficients, length)
 
     def reversed(self) -> JointPath:
