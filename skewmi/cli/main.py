@@ -25,7 +25,7 @@ COMMANDS: dict[str, str] = {
     "export-onnx": "write a run's policy as one self-describing ONNX file",
     "robot": "start a robot server (the simulated YuMi)",
     "deploy": "run an ONNX policy on a robot server",
-    "calibrate": "identify one robot: excite, servo, report, ranges",
+    "calibrate": "identify one robot: excite, servo, scene, report, ranges",
     "stop": "bring the arm smoothly to rest",
     "replay": "turn a recording into a Rerun file, or show it live",
     "film": "draw an episode of a recording: film and strip of frames",
