@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from fault_benches import Benches
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def benches(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Benches]:
     lent = Benches(tmp_path_factory.mktemp("faults"))
     yield lent
