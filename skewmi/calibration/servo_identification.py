@@ -31,8 +31,8 @@ SETTLE_S = 0.5
 and it takes a movement until the simulated joint is where the real one is."""
 RESOLUTION = 1e-5
 """Least standard deviation of a residual, rad: no encoder and no integrator is better."""
-TRIES = 4
-STUCK_MEMORY = 3.0
+TRIES = 5
+STUCK_MEMORY = 1.6
 """Autocorrelation time of a joint's residual, in samples, from which it may be stuck."""
 BETTER = 0.98
 """Of a joint's squared residual, to be taken for better."""
@@ -182,9 +182,6 @@ class ServoIdentifier:
                 vector = self._with_joints(vector, tried, np.flatnonzero(better))
                 vector[-1] = tried[-1]
                 vector = self._minimised(vector, weight, ITERATIONS)
-            elif rank:
-                # It is the model that lacks something, and no search will find it.
-                break
         return vector
 
     def _with_joints(self, vector: Array, other: Array, joints: NDArray[np.int64]) -> Array:
