@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -16,6 +17,7 @@ from skewmi.calibration.servo_model import ServoModel
 from skewmi.cli import numbers
 from skewmi.cli.calibrate_space import clear_space
 from skewmi.cli.interrupt import stop_on_signal
+from skewmi.cli.robot_flags import require_motion_options
 from skewmi.cli.task_flags import variation_option
 from skewmi.deploy.joint_motion import JointMotionOptions, JointMotionReport, run_joint_motion
 from skewmi.deploy.robot.description import RobotDescription
@@ -121,12 +123,12 @@ def planned(
     options: Excite,
     asked: Excitation,
     described: RobotDescription,
-    tell: Any,
+    tell: Callable[[str], None],
 ) -> ChosenExcitation:
     """The motion, in the space that the robot server describes."""
     model = ServoModel(CONTACT_SERVO.kd / CONTACT_SERVO.kp, threads=2)
-    space = clear_space(described)
     limits = joint_limits.profile(options.limits)
+    space = clear_space(described, limits)
     tell("choosing a motion")
     return choose_excitation(asked, limits, space, model, CONTACT_SERVO, tell=tell)
 
@@ -135,15 +137,9 @@ def _checked(options: Excite) -> Excitation:
     limits = joint_limits.profile(options.limits)
     numbers.require_seed(options.seed)
     numbers.require("--seconds", options.seconds, LEAST_SECONDS.get(limits.name, 10.0), 600.0)
-    if not (8.0 <= options.lead_ms <= 100.0 and (options.lead_ms / 4.0).is_integer()):
-        raise ConfigurationError(
-            f"--lead-ms is {options.lead_ms}; it must be a multiple of 4 in 8..100"
-        )
-    if (options.connect or options.zenoh_config) is not None and options.variation:
-        raise ConfigurationError(
-            "--variation is of the simulated robot that is started; give it to the skewmi robot "
-            "that --connect or --zenoh-config names"
-        )
+    require_motion_options(
+        options.lead_ms, options.variation, options.connect, options.zenoh_config
+    )
     if not options.dry_run:
         check_output(options.out, overwrite=options.overwrite, inputs=[options.zenoh_config])
     return Excitation(options.seconds, options.seed, _joints(options.joints))

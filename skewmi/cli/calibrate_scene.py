@@ -28,6 +28,7 @@ from skewmi.calibration.servo_prediction import ServoPrediction
 from skewmi.calibration.servo_section import servo_start
 from skewmi.cli import numbers
 from skewmi.cli.interrupt import stop_on_signal
+from skewmi.cli.robot_flags import require_motion_options
 from skewmi.cli.scene_shapes import SceneBox, nominal_box
 from skewmi.cli.scene_touches import TouchPlanner
 from skewmi.cli.task_flags import variation_option
@@ -130,15 +131,9 @@ def _checked(options: Scene) -> Calibration | None:
     numbers.require("--force-limit", options.force_limit, 1.0, LARGEST_FORCE_LIMIT)
     if options.points is not None and options.marker is not None:
         raise ConfigurationError("--points and --marker say the same: give one of them")
-    if not (8.0 <= options.lead_ms <= 100.0 and (options.lead_ms / 4.0).is_integer()):
-        raise ConfigurationError(
-            f"--lead-ms is {options.lead_ms}; it must be a multiple of 4 in 8..100"
-        )
-    if (options.connect or options.zenoh_config) is not None and options.variation:
-        raise ConfigurationError(
-            "--variation is of the simulated robot that is started; give it to the skewmi robot "
-            "that --connect or --zenoh-config names"
-        )
+    require_motion_options(
+        options.lead_ms, options.variation, options.connect, options.zenoh_config
+    )
     inputs = [options.points, options.marker, options.zenoh_config]
     check_output(options.out, overwrite=options.overwrite, inputs=inputs)
     return None if options.calibration is None else read_calibration(options.calibration)

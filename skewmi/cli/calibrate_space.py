@@ -5,23 +5,25 @@ from __future__ import annotations
 import numpy as np
 
 from skewmi.calibration.clear_space import ClearSpace
-from skewmi.deploy.joint_motion import calibration_space
 from skewmi.deploy.robot.description import RobotDescription
-from skewmi.deploy.safety.flange_space import lowest_of_hand
+from skewmi.deploy.safety.flange_space import CALIBRATION, lowest_of_hand
+from skewmi.deploy.session.open_space import open_space
 from skewmi.robot_models.kinematics import ArmKinematics
+from skewmi.robot_models.limits import JointLimits
 from skewmi.trajectory import Array
 
 MARGIN = 0.002
 """Kept to the sides of the flange's space, m."""
 
 
-def clear_space(described: RobotDescription) -> ClearSpace:
+def clear_space(described: RobotDescription, limits: JointLimits) -> ClearSpace:
     """Clear of robot, table and scene, and inside the calibration workspace.
 
     Raises:
         ConfigurationError: The robot server gives none.
     """
-    space, obstacles = calibration_space(described)
+    offered = open_space(described, CALIBRATION, limits)
+    space = offered.space
     forward = ArmKinematics("right").forward
     low, high = np.array(space.low) + MARGIN, np.array(space.high) - MARGIN
 
@@ -36,4 +38,4 @@ def clear_space(described: RobotDescription) -> ClearSpace:
         what = "leaves" if beyond[row] > 0.0 else "comes too low in"
         return row, f"the hand {what} the workspace {space.name!r}"
 
-    return ClearSpace(obstacles, inside=first_outside)
+    return ClearSpace(offered.obstacles, inside=first_outside)

@@ -11,13 +11,13 @@ from skewmi.calibration.contact_watch import FREE_WAY, tip_jacobian
 from skewmi.calibration.finger_contact import TIP
 from skewmi.calibration.scene_faces import SHIFT, TURN, Face, top_of
 from skewmi.cli.scene_shapes import SceneBox
-from skewmi.deploy.joint_motion import calibration_space
 from skewmi.deploy.motion.joint_path import JointPath, chebyshev_places
 from skewmi.deploy.robot.description import RobotDescription
-from skewmi.deploy.safety.flange_space import FlangeSpace
+from skewmi.deploy.safety.flange_space import CALIBRATION, TOUCH
 from skewmi.deploy.safety.guard import Guard
+from skewmi.deploy.session.open_space import open_space
 from skewmi.deploy.session.touch_plan import PlannedTouch
-from skewmi.deploy.touch_motion import CLOSED, touch_space
+from skewmi.deploy.touch_motion import CLOSED
 from skewmi.errors import ConfigurationError, LimitViolationError
 from skewmi.robot_models import yumi
 from skewmi.robot_models.frames import HAND_DOWN, rotation_about
@@ -71,8 +71,9 @@ class TouchPlanner:
         tell: Callable[[str], None],
     ) -> None:
         self._limits, self._servo, self._tell = limits, servo, tell
-        self._above, _ = calibration_space(described)
-        self._beside: FlangeSpace = touch_space(described)
+        self._above, self._beside = (
+            open_space(described, name, limits).space for name in (CALIBRATION, TOUCH)
+        )
         self.box = SceneBox.of(described.scene)
         self._faces = self.box.faces
         self._clearance = Guard(limits, clearance=_KEPT, obstacles=self.box.obstacles).clearance

@@ -7,7 +7,7 @@ starts the simulated robot if none is named, records beside the hot loop, and en
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,15 +16,15 @@ from skewmi.deploy.recording.reader import run_metadata
 from skewmi.deploy.recording.recorder import Recorder
 from skewmi.deploy.robot.description import FLANGE_SPEED, RobotDescription, limit_values
 from skewmi.deploy.robot.process import spawn_robot
-from skewmi.deploy.safety.checks import SpaceChecks
-from skewmi.deploy.safety.flange_space import CALIBRATION, FlangeSpace
+from skewmi.deploy.safety.checks import Check
+from skewmi.deploy.safety.flange_space import CALIBRATION
 from skewmi.deploy.safety.limits import TCP_SPEED_LIMIT, LimitUsage
-from skewmi.deploy.safety.obstacles import scene_obstacles
 from skewmi.deploy.session.agreement import check_pace, check_robot
 from skewmi.deploy.session.approach import Approach
 from skewmi.deploy.session.control_loop import ControlLoop
 from skewmi.deploy.session.joint_run import JointRun
 from skewmi.deploy.session.observer import Observer
+from skewmi.deploy.session.open_space import open_space
 from skewmi.deploy.session.robot_client import RobotClient
 from skewmi.deploy.session.states import SessionEvent
 from skewmi.deploy.session.status import SessionStatus
@@ -32,19 +32,17 @@ from skewmi.deploy.session.stream import ChunkStream, lead_of
 from skewmi.deploy.session.timing import CycleTimes
 from skewmi.deploy.session.trust import Trust
 from skewmi.deploy.wire import topics
-from skewmi.deploy.wire.scene_geometry import SceneGeometry
 from skewmi.deploy.wire.transport import Link, TransportConfig
-from skewmi.errors import ConfigurationError, TransportError
+from skewmi.errors import TransportError
 from skewmi.robot_models import limits as joint_limits
 from skewmi.robot_models import yumi
-from skewmi.robot_models.obstacle import Obstacle
 from skewmi.trajectory import JointTrajectory
 
 NODE_NAME = "skewmi_calibrate"
 
 ARRIVED = 0.1
 """Largest joint error at the end of a way, rad: an arm that is yet to be calibrated may be held off
-by friction, and nothing is touched here. The robot server faults at less than twice as much."""
+by friction, and nothing is touched here. The robot server faults at 0.35 rad."""
 
 Plan = Callable[[RobotDescription], JointTrajectory]
 """What the robot server says of itself and its scene -> the motion."""
@@ -88,21 +86,6 @@ class JointMotionReport:
     interrupted: bool = False
 
 
-def calibration_space(described: RobotDescription) -> tuple[FlangeSpace, tuple[Obstacle, ...]]:
-    """Where a robot server lets the joints be moved for calibration, and what stands there.
-
-    Raises:
-        ConfigurationError: Nowhere.
-    """
-    if CALIBRATION not in described.workspaces:
-        raise ConfigurationError(
-            f"the robot server ({described.backend}) gives no workspace {CALIBRATION!r}: it does "
-            "not know the scene's shapes, or there is no room above them"
-        )
-    space = FlangeSpace.from_numbers(CALIBRATION, described.workspaces[CALIBRATION])
-    return space, scene_obstacles(SceneGeometry.from_json(described.scene).parts)
-
-
 def run_joint_motion(
     plan: Plan,
     options: JointMotionOptions,
@@ -129,7 +112,22 @@ def run_joint_motion(
     stop = threading.Event() if stop is None else stop
     tell = (lambda text: None) if on_event is None else on_event
     report = JointMotionReport()
-    with robot_server(options, tell) as locator:
+    with robot_link(options, tell) as (link, config):
+        _on_link(plan, options, link, config, report, stop, tell)
+    report.interrupted = stop.is_set()
+    return report
+
+
+@contextmanager
+def robot_link(
+    options: JointMotionOptions, tell: Callable[[str], None]
+) -> Iterator[tuple[Link, TransportConfig]]:
+    """An open link to the robot server that the options name, or to one that is started.
+
+    Raises:
+        TransportError: None answers, or the simulated one does not start.
+    """
+    with _robot_server(options, tell) as locator:
         config = TransportConfig.for_client(
             locator,
             domain=options.domain,
@@ -138,12 +136,72 @@ def run_joint_motion(
         )
         with Link.open(config, NODE_NAME) as link:
             link.wait_for_robot(5.0)
-            _on_link(plan, options, link, config, report, stop, tell)
-    report.interrupted = stop.is_set()
-    return report
+            yield link, config
 
 
-def robot_server(
+@dataclass(frozen=True)
+class MetRobot:
+    """A robot server that was found, and a session's ends of the link to it."""
+
+    robot: RobotClient
+    status: SessionStatus
+    trust: Trust
+    described: RobotDescription
+
+    @staticmethod
+    def on(link: Link, options: JointMotionOptions) -> MetRobot:
+        """Find it, and see that limits and pace agree.
+
+        Raises:
+            TransportError: There is none, or more than one.
+            ConfigurationError: They do not agree.
+        """
+        told = link.publisher(topics.YUMI_STATUS)
+        commands = link.publisher(topics.YUMI_TRAJECTORY)
+        gripper = link.publisher(topics.YUMI_GRIPPER)
+        own = {
+            topics.YUMI_STATUS.name: (told.gid,),
+            topics.YUMI_TRAJECTORY.name: (commands.gid,),
+            topics.YUMI_GRIPPER.name: (gripper.gid,),
+        }
+        status, trust = SessionStatus(told), Trust(link, own, None)
+        trust.on_stranger = status.tell_strangers
+        robot = RobotClient.open(link, trust, commands, gripper, dry_run=False)
+        described = trust.meet(with_scene=True)
+        check_pace(described, lock_step=options.lock_step)
+        check_robot(joint_limits.profile(options.limits), described)
+        return MetRobot(robot, status, trust, described)
+
+    @property
+    def flange_speed(self) -> float:
+        """That the robot admits, m/s."""
+        admitted = self.described.limits.get(FLANGE_SPEED, (TCP_SPEED_LIMIT,))[0]
+        return min(admitted, TCP_SPEED_LIMIT)
+
+    def stream(
+        self,
+        options: JointMotionOptions,
+        stages: Sequence[tuple[str, Check]],
+        times: CycleTimes,
+    ) -> ChunkStream:
+        """Where chunks go to.
+
+        Args:
+            options: Lead and pace.
+            stages: Checks that every chunk has to pass.
+            times: Told how long they take.
+        """
+        return ChunkStream(
+            self.robot.put_chunk,
+            self.described.joint_names,
+            stages,
+            times,
+            lock_step=options.lock_step,
+            lead_ns=lead_of(options.lead_ms, self.described.cycle_ns),
+        )
+
+
+def _robot_server(
     options: JointMotionOptions, tell: Callable[[str], None]
 ) -> AbstractContextManager[str | None]:
     """Where to connect to; the simulated robot, if none is named, runs as long as the context."""
@@ -170,34 +228,14 @@ def _on_link(
     tell: Callable[[str], None],
 ) -> None:
     limits = joint_limits.profile(options.limits)
-    told = link.publisher(topics.YUMI_STATUS)
-    commands, gripper = link.publisher(topics.YUMI_TRAJECTORY), link.publisher(topics.YUMI_GRIPPER)
-    own = {
-        topics.YUMI_STATUS.name: (told.gid,),
-        topics.YUMI_TRAJECTORY.name: (commands.gid,),
-        topics.YUMI_GRIPPER.name: (gripper.gid,),
-    }
-    status, trust = SessionStatus(told), Trust(link, own, None)
-    trust.on_stranger = status.tell_strangers
-    robot = RobotClient.open(link, trust, commands, gripper, dry_run=False)
-    described = trust.meet(with_scene=True)
-    check_pace(described, lock_step=options.lock_step)
-    check_robot(limits, described)
+    met = MetRobot.on(link, options)
+    robot, status, trust, described = met.robot, met.status, met.trust, met.described
     trajectory = plan(described)
     if options.dry_run:
         return
     observer = Observer.open(link, None, described, trust.senders, options.lead_ms / 1e3)
-    flange_speed = min(described.limits.get(FLANGE_SPEED, (TCP_SPEED_LIMIT,))[0], TCP_SPEED_LIMIT)
-    times = CycleTimes()
-    checks = SpaceChecks(limits, *calibration_space(described), flange_speed)
-    stream = ChunkStream(
-        robot.put_chunk,
-        described.joint_names,
-        checks.stages,
-        times,
-        lock_step=options.lock_step,
-        lead_ns=lead_of(options.lead_ms, described.cycle_ns),
-    )
+    times, checks = CycleTimes(), open_space(described, CALIBRATION, limits)
+    stream = met.stream(options, checks.stages, times)
     loop = ControlLoop(robot, observer, stream, times, status, stop, lock_step=options.lock_step)
     run = JointRun(
         robot,
@@ -205,7 +243,7 @@ def _on_link(
         observer,
         stream,
         loop,
-        Approach(loop, stream, limits, flange_speed, ARRIVED),
+        Approach(loop, stream, limits, met.flange_speed, ARRIVED),
         checks.stages,
         limits,
         status,

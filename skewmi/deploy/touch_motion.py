@@ -11,24 +11,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from skewmi.deploy.joint_motion import (
-    NODE_NAME,
-    JointMotionOptions,
-    calibration_space,
-    robot_server,
-)
-from skewmi.deploy.robot.description import FLANGE_SPEED, RobotDescription
-from skewmi.deploy.safety.checks import SpaceChecks
-from skewmi.deploy.safety.flange_space import CALIBRATION, FINGER_TIP, TOUCH, FlangeSpace
-from skewmi.deploy.safety.limits import TCP_SPEED_LIMIT, LimitUsage
-from skewmi.deploy.session.agreement import check_pace, check_robot
+from skewmi.deploy.joint_motion import JointMotionOptions, MetRobot, robot_link
+from skewmi.deploy.robot.description import RobotDescription
+from skewmi.deploy.safety.flange_space import CALIBRATION, FINGER_TIP, TOUCH
+from skewmi.deploy.safety.limits import LimitUsage
 from skewmi.deploy.session.control_loop import ControlLoop
 from skewmi.deploy.session.guarded_motion import Watch
 from skewmi.deploy.session.observer import Observer
-from skewmi.deploy.session.robot_client import RobotClient
+from skewmi.deploy.session.open_space import open_space
 from skewmi.deploy.session.states import SessionEvent
-from skewmi.deploy.session.status import SessionStatus
-from skewmi.deploy.session.stream import ChunkStream
 from skewmi.deploy.session.timing import CycleTimes
 from skewmi.deploy.session.touch_plan import (
     PlannedTouch,
@@ -38,11 +29,9 @@ from skewmi.deploy.session.touch_plan import (
     require_touches,
 )
 from skewmi.deploy.session.touch_run import TouchRun
-from skewmi.deploy.session.trust import Trust
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.messages import decode_joint_states
-from skewmi.deploy.wire.transport import LatestReader, Link, TransportConfig
-from skewmi.errors import ConfigurationError
+from skewmi.deploy.wire.transport import LatestReader, Link
 from skewmi.robot_models import limits as joint_limits
 from skewmi.robot_models import yumi
 
@@ -84,20 +73,6 @@ class TouchReport:
     interrupted: bool = False
 
 
-def touch_space(described: RobotDescription) -> FlangeSpace:
-    """Where a robot server lets the hand touch things.
-
-    Raises:
-        ConfigurationError: Nowhere.
-    """
-    if TOUCH not in described.workspaces:
-        raise ConfigurationError(
-            f"the robot server ({described.backend}) gives no workspace {TOUCH!r}: it does not "
-            "know the scene's shapes, or there is no room above them"
-        )
-    return FlangeSpace.from_numbers(TOUCH, described.workspaces[TOUCH])
-
-
 def run_touches(
     plan: Plan,
     watch: Watch,
@@ -127,16 +102,8 @@ def run_touches(
     """
     stop = threading.Event() if stop is None else stop
     tell = (lambda text: None) if on_event is None else on_event
-    with robot_server(options, tell) as locator:
-        config = TransportConfig.for_client(
-            locator,
-            domain=options.domain,
-            lock_step=options.lock_step,
-            zenoh_config=options.zenoh_config,
-        )
-        with Link.open(config, NODE_NAME) as link:
-            link.wait_for_robot(5.0)
-            report = _on_link(plan, watch, options, force_limit, link, stop, tell)
+    with robot_link(options, tell) as (link, _):
+        report = _on_link(plan, watch, options, force_limit, link, stop, tell)
     report.interrupted = stop.is_set()
     return report
 
@@ -151,33 +118,16 @@ def _on_link(
     tell: Callable[[str], None],
 ) -> TouchReport:
     limits = joint_limits.profile(options.limits)
-    told = link.publisher(topics.YUMI_STATUS)
-    commands, gripper = link.publisher(topics.YUMI_TRAJECTORY), link.publisher(topics.YUMI_GRIPPER)
-    own = {
-        topics.YUMI_STATUS.name: (told.gid,),
-        topics.YUMI_TRAJECTORY.name: (commands.gid,),
-        topics.YUMI_GRIPPER.name: (gripper.gid,),
-    }
-    status, trust = SessionStatus(told), Trust(link, own, None)
-    trust.on_stranger = status.tell_strangers
-    robot = RobotClient.open(link, trust, commands, gripper, dry_run=False)
-    described = trust.meet(with_scene=True)
-    check_pace(described, lock_step=options.lock_step)
-    check_robot(limits, described)
-    checks = _checks(described, options)
+    met = MetRobot.on(link, options)
+    robot, status, trust, described = met.robot, met.status, met.trust, met.described
+    spaces = {name: open_space(described, name, limits) for name in (CALIBRATION, TOUCH)}
+    checks = SwitchedChecks(spaces, met.flange_speed)
     touches = plan(described)
     require_touches(touches)
     observer = Observer.open(link, None, described, trust.senders, options.lead_ms / 1e3)
     scene = link.subscribe(topics.YUMI_SCENE_STATES, depth=None, senders=trust.senders)
     times = CycleTimes()
-    stream = ChunkStream(
-        robot.put_chunk,
-        described.joint_names,
-        checks.stages,
-        times,
-        lock_step=options.lock_step,
-        lead_ns=round(options.lead_ms * 1e6),
-    )
+    stream = met.stream(options, checks.stages, times)
     loop = ControlLoop(robot, observer, stream, times, status, stop, lock_step=options.lock_step)
     settings = TouchSettings(
         limits,
@@ -212,20 +162,6 @@ def _on_link(
     report.usage, report.missed_cycles = stream.usage, stream.missed_cycles
     report.seconds = (after.clock_ns - described.clock_ns) / 1e9
     return report
-
-
-def _checks(described: RobotDescription, options: JointMotionOptions) -> SwitchedChecks:
-    limits = joint_limits.profile(options.limits)
-    flange_speed = min(described.limits.get(FLANGE_SPEED, (TCP_SPEED_LIMIT,))[0], TCP_SPEED_LIMIT)
-    space, obstacles = calibration_space(described)
-    return SwitchedChecks(
-        {
-            CALIBRATION: SpaceChecks(limits, space, obstacles, flange_speed),
-            # What is to be touched is no obstacle.
-            TOUCH: SpaceChecks(limits, touch_space(described), (), flange_speed),
-        },
-        flange_speed,
-    )
 
 
 def _scene_means(reader: LatestReader) -> tuple[dict[str, float], dict[str, float]]:

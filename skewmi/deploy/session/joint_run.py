@@ -18,7 +18,7 @@ from skewmi.deploy.safety.checks import Check
 from skewmi.deploy.session.approach import Approach
 from skewmi.deploy.session.arm_state import ArmState
 from skewmi.deploy.session.control_loop import ControlLoop
-from skewmi.deploy.session.interrupt import StopRequestedError, check_interrupt
+from skewmi.deploy.session.interrupt import check_interrupt
 from skewmi.deploy.session.observer import Observer
 from skewmi.deploy.session.readiness import wait_until_ready
 from skewmi.deploy.session.refused import LateChunkError
@@ -94,9 +94,6 @@ class JointRun:
         try:
             with hot_loop(priority=not self._lock_step):
                 self._carry_out(trajectory)
-        except StopRequestedError as error:
-            stops.append(str(error))
-            self._status.fire(SessionEvent.STOP, str(error))
         except TransportError as error:
             stops.append(str(error))
             self._status.fire(SessionEvent.FAULT, str(error))

@@ -19,7 +19,7 @@ from skewmi.deploy.safety.checks import SpaceChecks
 from skewmi.deploy.session.arm_state import ArmState
 from skewmi.deploy.session.control_loop import ControlLoop
 from skewmi.deploy.session.guarded_motion import GuardedMotion, HoldStill, Watch
-from skewmi.deploy.session.interrupt import StopRequestedError, check_interrupt
+from skewmi.deploy.session.interrupt import check_interrupt
 from skewmi.deploy.session.joint_run import KnownMotion
 from skewmi.deploy.session.observer import Observer
 from skewmi.deploy.session.readiness import wait_until_ready
@@ -104,7 +104,7 @@ class TouchRun:
         except TransportError as error:
             stops.append(str(error))
             self._status.fire(SessionEvent.FAULT, str(error))
-        except (StopRequestedError, SkewmiError) as error:
+        except SkewmiError as error:
             stops.append(str(error))
             self._status.fire(SessionEvent.STOP, str(error))
         else:
