@@ -19,7 +19,8 @@ from skewmi.cli.calibrate_space import clear_space
 from skewmi.cli.interrupt import stop_on_signal
 from skewmi.cli.robot_flags import require_motion_options
 from skewmi.cli.task_flags import variation_option
-from skewmi.deploy.joint_motion import JointMotionOptions, JointMotionReport, run_joint_motion
+from skewmi.deploy.joint_motion import JointMotionReport, run_joint_motion
+from skewmi.deploy.motion_link import JointMotionOptions
 from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.wire.domain import ros_domain
 from skewmi.errors import ConfigurationError

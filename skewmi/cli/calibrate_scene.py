@@ -32,7 +32,7 @@ from skewmi.cli.robot_flags import require_motion_options
 from skewmi.cli.scene_shapes import SceneBox, nominal_box
 from skewmi.cli.scene_touches import TouchPlanner
 from skewmi.cli.task_flags import variation_option
-from skewmi.deploy.joint_motion import JointMotionOptions
+from skewmi.deploy.motion_link import JointMotionOptions
 from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.session.touch_plan import PlannedTouch
 from skewmi.deploy.touch_motion import TouchReport, run_touches

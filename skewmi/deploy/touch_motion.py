@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from skewmi.deploy.joint_motion import JointMotionOptions, MetRobot, robot_link
+from skewmi.deploy.motion_link import JointMotionOptions, MetRobot, robot_link
 from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.safety.flange_space import CALIBRATION, FINGER_TIP, TOUCH
 from skewmi.deploy.safety.limits import LimitUsage
