@@ -119,13 +119,17 @@ def test_peer_sees_topics_types_and_qos_of_the_robot(peer: Peer) -> None:
 
 
 def check_stream(topic: str, node: str, samples: list[Message], tokens: list[str]) -> list[Message]:
-    """All decoders agree, the bytes are canonical, and attachments are those of one publisher."""
+    """All decoders agree, the bytes are canonical, and attachments are those of one publisher.
+
+    What finds no room on the way is dropped, never queued behind: a busy computer loses some.
+    """
     assert all(s["same_values"] and s["same_bytes"] for s in samples)
     attachments = [s["attachment"] for s in samples]
     assert {a["bytes"] for a in attachments} == {33}
-    first = attachments[0]["sequence"]
-    assert first >= 1
-    assert [a["sequence"] for a in attachments] == list(range(first, first + len(samples)))
+    sequences = np.array([a["sequence"] for a in attachments])
+    assert sequences[0] >= 1
+    assert np.all(np.diff(sequences) >= 1), "a message twice, or out of order"
+    assert sequences[-1] - sequences[0] < 1.1 * len(sequences), "one in ten was lost"
     assert all(-1.0 < a["age_s"] < 60.0 for a in attachments)
     # The gid is the hash of the publisher's token, as rmw_zenoh makes it.
     token = f"/MP/%/%/{node}/{topic.replace('/', '%')}/"
@@ -151,7 +155,8 @@ def test_peer_decodes_everything_the_robot_sends(peer: Peer) -> None:
     server = peer.describe()
     states = received["/yumi/joint_states"]
     stamps = [m["header"]["stamp"]["sec"] * 10**9 + m["header"]["stamp"]["nanosec"] for m in states]
-    assert set(np.diff(stamps)) == {server["state_period_ns"]}
+    sent = [s["attachment"]["sequence"] for s in taken["/yumi/joint_states"]]
+    np.testing.assert_array_equal(np.diff(stamps), np.diff(sent) * server["state_period_ns"])
     for message in states:
         assert message["name"] == [*server["joint_names"], "gripper_r_joint"]
         assert len(message["position"]) == len(message["velocity"]) == len(message["effort"]) == 8
@@ -213,8 +218,12 @@ def test_peer_sees_and_decodes_everything_the_session_sends(locator: str, peer: 
         for topic, samples in taken.items():
             samples += peer.ask("take", topic=topic)
         if not graphs and taken[COMMANDS]:
-            graphs.append(peer.ask("graph"))
-        return len(taken["/skewmi/policy_action"]) >= 5 and all(taken.values())
+            graph = peer.ask("graph")
+            seen = [graph["topics"].get(name, {"publishers": []}) for name in SESSION_SENDS]
+            # What a busy computer answers too late is missing from it: asked again.
+            if set.intersection(*({e["node"] for e in each["publishers"]} for each in seen)):
+                graphs.append(graph)
+        return bool(graphs) and len(taken["/skewmi/policy_action"]) >= 5 and all(taken.values())
 
     try:
         eventually(enough, 60.0)
