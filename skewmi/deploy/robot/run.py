@@ -13,6 +13,7 @@ from skewmi.deploy.robot.backends import BackendOptions, make_backend
 from skewmi.deploy.robot.controller import LEASE_NS, RobotController
 from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.robot.server import RobotServer
+from skewmi.deploy.robot.warm_up import warm_up
 from skewmi.deploy.robot.workspaces import spaces_of
 from skewmi.deploy.safety.checks import limit_check, space_checks
 from skewmi.deploy.safety.validation import ChunkValidator, ValidationRules
@@ -63,13 +64,15 @@ def serve_robot(
         workspace = None if backend.scene is None else backend.scene.workspace
         spaces = spaces_of(backend.scene)
         rules = ValidationRules(joint_names=backend.joint_names, grid_ns=GRID_NS)
+        validator = ChunkValidator(
+            rules,
+            limit_check(limits, workspace, backend.admitted_speed),
+            space_checks(limits, spaces, backend.admitted_speed),
+        )
+        warm_up(backend, validator)
         controller = RobotController(
             backend,
-            ChunkValidator(
-                rules,
-                limit_check(limits, workspace, backend.admitted_speed),
-                space_checks(limits, spaces, backend.admitted_speed),
-            ),
+            validator,
             lease_ns=LOCK_STEP_LEASE_NS if backend.lock_step else LEASE_NS,
             start_ns=fresh_start_ns(),
         )
