@@ -178,7 +178,7 @@ class RobotBackend(Protocol):
         """
 
     def due(self) -> bool:
-        """Whether the next cycle has come, so that what can wait should."""
+        """Whether the next cycle has come, or is about to: what can wait should."""
 
     def write(self, command: JointPoint) -> None:
         """Command what is to hold from this cycle on. Called once after each `read` that gave a

@@ -22,6 +22,8 @@ _STATUS_PERIOD_NS = 500_000_000
 _OTHERS_PERIOD_NS = 50_000_000
 """Refusals of others than the commander are told no more often: a flood of them shall not become
 a flood of statuses."""
+_POSTPONED_NS = 20_000_000
+"""By which a status may be later for the sake of the robot's next cycle."""
 _SHOWN_REFUSALS = 3
 
 
@@ -129,13 +131,16 @@ class StatePublisher:
             self._bad_link = BadLink(errors)
 
     def status(self) -> None:
-        """Publish the status if it is time for it: at once if the commander was refused something,
-        soon if anybody else was, who may try by the hundred."""
+        """Publish the status if it is time for it, and not for the robot's next cycle: at once if
+        the commander was refused something, soon if anybody else was, who may try by the
+        hundred."""
         now_ns, refusals = time.monotonic_ns(), self._controller.refusals
         refused = refusals.count != self._refused_told
         wait_ns = _OTHERS_PERIOD_NS if refused else _STATUS_PERIOD_NS
-        if not refusals.commander_untold and now_ns < self._told_ns + wait_ns:
-            return
+        if not refusals.commander_untold:
+            due_ns = self._told_ns + wait_ns
+            if now_ns < due_ns or (now_ns < due_ns + _POSTPONED_NS and self._backend.due()):
+                return
         self.tell(self._controller.clock_ns)
 
     def tell(self, stamp_ns: int, transition: Transition[ServerState] | None = None) -> None:

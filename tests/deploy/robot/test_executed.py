@@ -27,6 +27,7 @@ from skewmi.deploy.wire.transport import Link, TransportConfig
 from skewmi.trajectory import CYCLE_NS, CYCLE_TICKS, GRID_NS, TrajectoryChunk
 
 CHUNKS = 10
+MS = 1_000_000
 
 
 class Wire:
@@ -77,6 +78,26 @@ def test_what_was_written_is_told_in_every_cycle_that_has_time(
         assert np.array_equal(one.effort, state.effort[:7])
     assert max(float(np.abs(t.reference.v).max()) for t in told) > 0.01
     assert publisher._cycles_untold == late.sum()
+
+
+@pytest.mark.parametrize("is_late", [False, True])
+def test_a_status_waits_for_the_cycle_but_not_for_long(
+    robot: LoneRobot, monkeypatch: pytest.MonkeyPatch, is_late: bool
+) -> None:
+    wire, now = Wire(), [10**12]
+    publisher = StatePublisher(robot.backend, robot.controller, wire)  # type: ignore[arg-type]
+    sent = wire.sent[topics.YUMI_STATUS.name]
+    monkeypatch.setattr("skewmi.deploy.robot.publisher.time.monotonic_ns", lambda: now[0])
+    robot.run(1)
+    publisher.status()
+    monkeypatch.setattr(robot.backend, "due", lambda: is_late)
+    told_ms = []
+    for ms in range(1, 1601):
+        now[0] += MS
+        before = len(sent)
+        publisher.status()
+        told_ms += [ms] * (len(sent) - before)
+    assert told_ms == ([520, 1040, 1560] if is_late else [500, 1000, 1500])
 
 
 def test_a_recording_has_every_cycle_of_a_robot_that_waits(tmp_path: Path) -> None:

@@ -33,6 +33,10 @@ _log = logging.getLogger(__name__)
 WAIT_NS = 8_000_000
 """Longest wait for a packet before commands and services have their turn: two cycles."""
 
+SOON_NS = 1_000_000
+"""Before and after the time at which the next packet is expected, it is waited for and nothing else
+is begun: an answer on the link takes that long on a slow computer."""
+
 _FOLLOWS = (EgmState.GUIDING, EgmState.OVERLOADED)
 _LEFT_NAMES = yumi.joint_names("left")
 
@@ -129,8 +133,18 @@ class EgmBackend:
                 return None
 
     def due(self) -> bool:
-        """Whether a packet waits for its answer."""
-        return self.right is not None and self.right.link.wait(0)
+        """Whether a packet waits for its answer, or is about to come: then what begins now would
+        hold the answer up."""
+        if self.right is None:
+            return False
+        return self._is_expected(self.right) or self.right.link.wait(0)
+
+    @staticmethod
+    def _is_expected(arm: ArmChannel) -> bool:
+        if arm.watch.newest is None:
+            return False
+        since_ns = arm.link.now_ns() - arm.watch.newest.arrival_ns
+        return abs(since_ns - arm.watch.clock.period_ns) < SOON_NS
 
     def write(self, command: JointPoint) -> None:
         """Answer the packet; then the left arm's, which may have come meanwhile."""

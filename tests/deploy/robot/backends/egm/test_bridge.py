@@ -65,6 +65,25 @@ def test_disarmed_it_holds_so_that_the_session_lives(bench: Bench) -> None:
     assert sequences == list(range(sequences[0], sequences[0] + 50))
 
 
+def test_shortly_before_a_packet_and_until_it_comes_nothing_is_begun(bench: Bench) -> None:
+    bench.ready()
+    period_ms = 4.032
+    for after_ms in np.arange(0.1, 12.0, 0.25):
+        bench.cycle()
+        bench.pass_time(after_ms / 1e3)
+        assert bench.backend.due() == (abs(after_ms - period_ms) < 1.0), after_ms
+        bench.pass_time(-after_ms / 1e3)
+    bench.controller.send()
+    assert bench.backend.due()
+
+
+def test_a_controller_that_is_not_there_does_not_put_anything_off(bench: Bench) -> None:
+    assert not bench.backend.due()
+    bench.ready()
+    bench.pass_time(0.5)
+    assert not bench.backend.due()
+
+
 @pytest.mark.parametrize("joint", range(7))
 def test_each_joint_of_a_chunk_moves_its_axis(bench: Bench, joint: int) -> None:
     bench.armed()
