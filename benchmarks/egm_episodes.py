@@ -40,8 +40,10 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=30, help="of each robot")
     parser.add_argument("--policy", default=str(bundled()[TASK]), help="file")
     parser.add_argument("--feed-forward", type=float, default=1.0, help="fraction, 0..1")
+    parser.add_argument("--lead-ms", type=float, default=24.0, help="how early a session sends, ms")
     arguments = parser.parse_args()
     options = ["--episodes", str(arguments.episodes), "--seed", str(arguments.seed), "--json"]
+    options += ["--lead-ms", str(arguments.lead_ms)]
     found: dict[str, Any] = {}
     progress("the simulated robot server")
     found["sim"] = deploy([arguments.policy, "--robot", "sim", *options])
@@ -55,6 +57,7 @@ def main() -> None:
         "episodes": arguments.episodes,
         "comm_timeout_s": EMULATED_COMM_TIMEOUT_S,
         "feed_forward": arguments.feed_forward,
+        "lead_ms": arguments.lead_ms,
     }
     document = write_result(
         "egm_episodes", found, arguments.out, seed=arguments.seed, config=config
