@@ -30,7 +30,7 @@ from skewmi.cli.policies import load_policy_from, make_env, task_options
 from skewmi.cli.task_flags import calibration_option
 from skewmi.evaluation.rollout import run_episodes
 from skewmi.policy_io import Policy
-from skewmi.sim.arm.servos import CONTACT_SERVO
+from skewmi.robot_models.servo import CONTACT_SERVO
 from skewmi.trajectory import Array
 
 LARGEST_FRICTION: Array = np.array([2.0, 2.0, 2.0, 2.0, 0.5, 0.5, 0.5])

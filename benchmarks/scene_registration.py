@@ -28,7 +28,7 @@ from calibrations import DrawnRobot, known_servo
 from skewmi import __version__
 from skewmi.calibration.calibration_file import Calibration, write_calibration
 from skewmi.calibration.scene_faces import SHIFT, TURN
-from skewmi.sim.arm.servos import CONTACT_SERVO
+from skewmi.robot_models.servo import CONTACT_SERVO
 
 WRIST_FRICTION = 0.5
 """Largest of the last three joints, N m."""

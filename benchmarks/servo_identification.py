@@ -39,7 +39,7 @@ from skewmi.calibration.servo_recording import ServoRecording
 from skewmi.cli.calibrate_recordings import read_excitation
 from skewmi.cli.main import main as skewmi_command
 from skewmi.robot_models import limits
-from skewmi.sim.arm.servos import CONTACT_SERVO
+from skewmi.robot_models.servo import CONTACT_SERVO
 from skewmi.trajectory import Array, JointTrajectory
 
 FRICTION_ROOM = 0.010

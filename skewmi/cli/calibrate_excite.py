@@ -26,8 +26,8 @@ from skewmi.deploy.wire.domain import ros_domain
 from skewmi.errors import ConfigurationError
 from skewmi.outputs import check_output
 from skewmi.robot_models import limits as joint_limits
+from skewmi.robot_models.servo import CONTACT_SERVO
 from skewmi.sim import tasks
-from skewmi.sim.arm.servos import CONTACT_SERVO
 from skewmi.trajectory import JointTrajectory
 
 CHAIN = (1, 2, 7, 3, 4, 5, 6)

@@ -13,8 +13,8 @@ from skewmi.calibration.calibration_file import read_calibration
 from skewmi.calibration.ranges import variation_ranges
 from skewmi.cli import numbers
 from skewmi.outputs import check_output, written_aside
+from skewmi.robot_models.servo import CONTACT_SERVO
 from skewmi.sim import tasks
-from skewmi.sim.arm.servos import CONTACT_SERVO
 
 
 @dataclass(frozen=True)

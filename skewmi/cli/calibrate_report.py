@@ -15,7 +15,7 @@ from skewmi.calibration.servo_model import ServoModel
 from skewmi.cli import numbers
 from skewmi.cli.calibrate_recordings import RecordedExcitation, read_excitation
 from skewmi.outputs import check_output, written_aside
-from skewmi.sim.arm.servos import CONTACT_SERVO
+from skewmi.robot_models.servo import CONTACT_SERVO
 
 
 @dataclass(frozen=True)

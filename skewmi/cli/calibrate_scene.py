@@ -40,8 +40,8 @@ from skewmi.deploy.wire.domain import ros_domain
 from skewmi.errors import ConfigurationError
 from skewmi.outputs import check_output
 from skewmi.robot_models import limits as joint_limits
+from skewmi.robot_models.servo import CONTACT_SERVO
 from skewmi.sim import tasks
-from skewmi.sim.arm.servos import CONTACT_SERVO
 
 LARGEST_FORCE_LIMIT = 15.0
 """N."""

@@ -30,7 +30,7 @@ from skewmi.cli.calibrate_recordings import read_excitation
 from skewmi.errors import ConfigurationError
 from skewmi.outputs import check_output
 from skewmi.robot_models import yumi
-from skewmi.sim.arm.servos import CONTACT_SERVO
+from skewmi.robot_models.servo import CONTACT_SERVO
 
 KNOWN_MASSES = (
     "masses and rotor inertias are taken as the model's: where those are wrong by a part, kp, kd "

@@ -120,3 +120,15 @@ DEFAULT = ServoParameters(
     armature=ARMATURE,
 )
 """Where simulation starts before calibration."""
+
+_CONTACT_STIFFNESS = np.array([300.0, 300.0, 200.0, 200.0, 600.0, 600.0, 300.0])
+CONTACT_SERVO = DEFAULT.with_changes(
+    kp=_CONTACT_STIFFNESS,
+    kd=critical_damping(_CONTACT_STIFFNESS, ARMATURE),
+    force_limit=np.array([12.5, 12.5, 6.0, 6.0, 6.0, 6.0, 6.0]),
+)
+"""For work in contact, what policies are trained with. A soft arm bounds the force that the
+following error of the hand can build up, and a wrist that is stiff and strong for its size keeps
+the hand upright under it (the joints' own wrist stiffness is above 450 N m/rad): with the wrist at
+100 N m/rad and 2 N m a sideways push of 12 N at the fingertips overpowered it, and the hand tilted
+by up to 40 degrees. An estimate like `DEFAULT`, to be replaced by identified values."""

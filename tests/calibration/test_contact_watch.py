@@ -13,7 +13,7 @@ from skewmi.calibration.servo_prediction import ServoPrediction
 from skewmi.calibration.servo_section import servo_start
 from skewmi.robot_models import limits, yumi
 from skewmi.robot_models.kinematics import ArmKinematics
-from skewmi.sim.arm.servos import CONTACT_SERVO
+from skewmi.robot_models.servo import CONTACT_SERVO
 from skewmi.trajectory import CYCLE_TICKS, Array, JointTrajectory
 
 SPEED = 0.005

@@ -11,7 +11,7 @@ from skewmi.calibration.servo_model import DelayedServo, ServoModel
 from skewmi.calibration.servo_parameters import ServoUnknowns
 from skewmi.calibration.servo_recording import ServoRecording
 from skewmi.robot_models import limits
-from skewmi.sim.arm.servos import CONTACT_SERVO
+from skewmi.robot_models.servo import CONTACT_SERVO
 from skewmi.trajectory import CYCLE_TICKS, GRID_S, JointTrajectory
 
 SERVO = DelayedServo(CONTACT_SERVO, 0.02)

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from skewmi.calibration.calibration_file import Constant
 from skewmi.calibration.ranges import FLOORS, variation_ranges
+from skewmi.robot_models.servo import CONTACT_SERVO
 from skewmi.sim import tasks
-from skewmi.sim.arm.servos import CONTACT_SERVO
 
 VARIATIONS = tasks.find("open_press_close").variations
 ALLOWED = {key.name: (key.low, key.high) for key in VARIATIONS.keys}

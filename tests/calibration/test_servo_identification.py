@@ -18,8 +18,7 @@ from skewmi.calibration.servo_recording import ServoRecording
 from skewmi.calibration.servo_section import servo_section, servo_warnings
 from skewmi.errors import ConfigurationError
 from skewmi.robot_models import limits
-from skewmi.robot_models.servo import DEFAULT
-from skewmi.sim.arm.servos import CONTACT_SERVO
+from skewmi.robot_models.servo import CONTACT_SERVO, DEFAULT
 from skewmi.trajectory import JointTrajectory
 
 LEAD = CONTACT_SERVO.kd / CONTACT_SERVO.kp

@@ -9,7 +9,7 @@ from calibrations import DrawnRobot
 from skewmi.calibration.servo_model import DelayedServo, ServoModel
 from skewmi.calibration.servo_prediction import ServoPrediction
 from skewmi.robot_models import yumi
-from skewmi.sim.arm.servos import CONTACT_SERVO
+from skewmi.robot_models.servo import CONTACT_SERVO
 from skewmi.trajectory import GRID_S, JointTrajectory
 
 

@@ -14,8 +14,8 @@ from skewmi.cli.main import main
 from skewmi.deploy.recording.joint_series import executed_reference
 from skewmi.deploy.recording.reader import read_recording
 from skewmi.robot_models import limits
+from skewmi.robot_models.servo import CONTACT_SERVO
 from skewmi.sim import tasks
-from skewmi.sim.arm.servos import CONTACT_SERVO
 
 KP_SCALE = [0.5, 1.4, 0.8, 0.6, 1.2, 0.7, 1.5]
 FRICTION = [0.5, 1.2, 0.9, 0.3, 0.2, 0.4, 0.3]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from skewmi.calibration.calibration_file import Calibration, Constant, ServoCalibration
-from skewmi.sim.arm.servos import CONTACT_SERVO
+from skewmi.robot_models.servo import CONTACT_SERVO
 from skewmi.trajectory import Array
 
 

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from skewmi.errors import ConfigurationError
 from skewmi.policy_io import TIME_FIELD, ActionField, Array, Ball, Field, PolicyLayout, Workspace
 from skewmi.robot_models import frames
-from skewmi.robot_models.servo import ServoParameters
+from skewmi.robot_models.servo import CONTACT_SERVO, ServoParameters
 from skewmi.sim.arm import definition
-from skewmi.sim.arm.servos import CONTACT_SERVO
 from skewmi.sim.arm.variation_keys import ARM_KEYS
 from skewmi.sim.variation import Variations
 

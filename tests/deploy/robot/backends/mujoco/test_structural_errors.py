@@ -9,8 +9,8 @@ import pytest
 from skewmi.deploy.robot.backend import RobotState
 from skewmi.deploy.robot.backends.mujoco.simulation import ArmSimulation
 from skewmi.deploy.robot.egm_emulator.plant import ScenePlant
+from skewmi.robot_models.servo import CONTACT_SERVO
 from skewmi.sim.arm.scene import ArmScene
-from skewmi.sim.arm.servos import CONTACT_SERVO
 from skewmi.sim.tasks.open_press_close.definition import ARM
 from skewmi.trajectory import JointPoint
 
