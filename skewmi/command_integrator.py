@@ -11,6 +11,10 @@ distance from the hand is the following error, measured in full actions.
 - Within a step, whoever moves the command looks every 20 ms (`CommandIntegrator.watch`), and the
   line ends where the blockage exceeds `stop_blockage`.
 
+These bound a force by a distance, for the arm of training. An arm that is known to be softer has
+to be commanded further ahead for the same force: its following errors are multiplied by its
+stiffness relative to that arm (`robot_models.hand_stiffness`) before they are measured.
+
 Numpy only.
 """
 
@@ -28,12 +32,19 @@ of 0.1 s it is 40 ms, as late as users of ABB's externally guided motion report 
 (abb_libegm, issue 49); with 0.47 and more the first contact would see an error of a full action."""
 FADING = 0.8
 """Of a remembered blockage per control step."""
+SOFTEST = 3.0
+"""How much further ahead than in training a soft arm may be commanded at most."""
 NOTICED_BLOCKAGE = 0.6
 """Fraction of `held_following_error` from which on a blockage lowers the bound on the following
 error; at all of it that is `held_following_error`, so that pushing on settles there."""
 
 
-def present_blockage(layout: PolicyLayout, following_error_w: Array, hand_travel_w: Array) -> Array:
+def present_blockage(
+    layout: PolicyLayout,
+    following_error_w: Array,
+    hand_travel_w: Array,
+    stiffness: Array | None = None,
+) -> Array:
     """How far the hand is behind its command by more than a delay explains, in full actions.
 
     A late arm is behind its command as well, but it moves: |error| - delay |travel|.
@@ -42,18 +53,23 @@ def present_blockage(layout: PolicyLayout, following_error_w: Array, hand_travel
         layout: Gives the scale of actions.
         following_error_w: Commanded less measured hand position, m. Shape (..., 3).
         hand_travel_w: Motion of the measured hand in a control step, m. Shape (..., 3).
+        stiffness: Of the hand relative to training's. Shape (3, 3); None for that of training.
 
     Returns:
         Shape (...); negative where the hand follows.
     """
     scale = layout.action_scale[:3]
-    behind: Array = np.linalg.norm(following_error_w / scale, axis=-1)
+    behind = _length(following_error_w / scale, scale, stiffness)
     travel: Array = np.linalg.norm(hand_travel_w / scale, axis=-1)
     return behind - EXPLAINED_DELAY * travel
 
 
 def remembered_blockage(
-    layout: PolicyLayout, blockage_before: Array, following_error_w: Array, hand_travel_w: Array
+    layout: PolicyLayout,
+    blockage_before: Array,
+    following_error_w: Array,
+    hand_travel_w: Array,
+    stiffness: Array | None = None,
 ) -> Array:
     """The present blockage, or what is left of the last ones: they fade, faster if the hand moves.
 
@@ -63,12 +79,13 @@ def remembered_blockage(
             that has ended a line since; 0 at first. Shape (...).
         following_error_w: Commanded less measured hand position, m. Shape (..., 3).
         hand_travel_w: Motion of the measured hand in the last control step, m. Shape (..., 3).
+        stiffness: See `present_blockage`.
 
     Returns:
         In full actions. Shape (...).
     """
     travel: Array = np.linalg.norm(hand_travel_w / layout.action_scale[:3], axis=-1)
-    present = present_blockage(layout, following_error_w, hand_travel_w)
+    present = present_blockage(layout, following_error_w, hand_travel_w, stiffness)
     remembered: Array = np.maximum(present, FADING * blockage_before - travel)
     return np.maximum(remembered, 0.0)
 
@@ -79,6 +96,7 @@ def next_position(
     action: Array,
     hand_w: Array,
     blockage: Array | float,
+    stiffness: Array | None = None,
 ) -> Array:
     """Next commanded hand: the action added, clipped to following error and workspace box.
 
@@ -89,6 +107,7 @@ def next_position(
             are the velocity x, y, z.
         hand_w: Measured hand position, world, m. Shape (..., 3).
         blockage: From `remembered_blockage`. Shape (...).
+        stiffness: See `present_blockage`.
 
     Returns:
         Commanded position at the end of the coming control step, world, m. Shape (..., 3).
@@ -102,10 +121,24 @@ def next_position(
     noticed = np.clip((blockage / held - NOTICED_BLOCKAGE) / (1.0 - NOTICED_BLOCKAGE), 0.0, 1.0)
     bound = free + noticed * (held - free)
     error = (position_w - hand_w) / scale + np.clip(action[..., :3], -1.0, 1.0)
-    length = np.linalg.norm(error, axis=-1)
+    length = _length(error, scale, stiffness)
     error = error * np.minimum(1.0, bound / np.maximum(length, 1e-12))[..., None]
     position: Array = np.clip(hand_w + error * scale, workspace.low, workspace.high)
     return position
+
+
+def _length(error: Array, scale: Array, stiffness: Array | None) -> Array:
+    """Of following errors in full actions: by the force, as training's arm would have them.
+
+    Never more than they are, and never less than a third: wrong constants can do no more.
+    Shape (..., 3) -> (...).
+    """
+    length: Array = np.linalg.norm(error, axis=-1)
+    if stiffness is None:
+        return length
+    felt = np.linalg.norm((error * scale) @ stiffness.T / scale, axis=-1)
+    bounded: Array = np.clip(felt, length / SOFTEST, length)
+    return bounded
 
 
 class CommandIntegrator:
@@ -117,6 +150,8 @@ class CommandIntegrator:
     Args:
         layout: Gives scale, box, following errors and the length of a step; must have a workspace.
         gripper_travel: Travel of a finger from closed to open, m.
+        stiffness: Of the hand relative to training's, world axes; see
+            `robot_models.hand_stiffness`. Shape (3, 3); None for that of training.
 
     Attributes:
         position_w: Commanded hand at the end of the line, world, m. Shape (n, 3).
@@ -135,7 +170,10 @@ class CommandIntegrator:
     opening_before: Array
     blockage: Array
 
-    def __init__(self, layout: PolicyLayout, gripper_travel: float) -> None:
+    def __init__(
+        self, layout: PolicyLayout, gripper_travel: float, stiffness: Array | None = None
+    ) -> None:
+        self._stiffness = stiffness
         self._layout, self._workspace = layout, _workspace_of(layout)
         self._gripper_travel = gripper_travel
         self._step_ns = round(layout.control_dt * 1e9)
@@ -183,10 +221,12 @@ class CommandIntegrator:
         near_w = hand_w if ahead_w is None else ahead_w
         layout = self._layout
         self.blockage = remembered_blockage(
-            layout, self.blockage, self.position_w - near_w, travel_w
+            layout, self.blockage, self.position_w - near_w, travel_w, self._stiffness
         )
         self.begin_w, self.opening_before = self.position_w, self.opening
-        self.position_w = next_position(layout, self.begin_w, action, near_w, self.blockage)
+        self.position_w = next_position(
+            layout, self.begin_w, action, near_w, self.blockage, self._stiffness
+        )
         if self.moves_gripper:
             travel = np.clip(action[:, 3], -1.0, 1.0) * layout.action_scale[3]
             self.opening = np.clip(self.opening_before + travel, 0.0, self._gripper_travel)
@@ -231,7 +271,7 @@ class CommandIntegrator:
         travel_w = (hand_w - self._seen_w) * (self._step_ns / elapsed_ns)
         self._seen_w, self._seen_ns = hand_w, since_ns
         error_w = commanded_w - hand_w + coming_error_w
-        blockage = present_blockage(self._layout, error_w, travel_w)
+        blockage = present_blockage(self._layout, error_w, travel_w, self._stiffness)
         # A command that comes back to the hand shall do so.
         away = np.linalg.norm(self.position_w - hand_w, axis=1)
         away -= np.linalg.norm(commanded_w - hand_w, axis=1)

@@ -13,6 +13,8 @@ from hypothesis.extra import numpy as hnp
 from skewmi.command_integrator import (
     EXPLAINED_DELAY,
     FADING,
+    SOFTEST,
+    CommandIntegrator,
     next_position,
     present_blockage,
     remembered_blockage,
@@ -176,3 +178,56 @@ def test_command_needs_a_workspace() -> None:
     layout = dataclasses.replace(LAYOUT, workspace=None)
     with pytest.raises(ConfigurationError, match="workspace"):
         next_position(layout, np.zeros(3), np.zeros(4), np.zeros(3), 0.0)
+
+
+stiffnesses = hnp.arrays(np.float64, (3, 3), elements=st.floats(-1.5, 1.5))
+
+
+@settings(deadline=None)
+@given(positions, actions, inside_box, blockages, stiffnesses)
+def test_whatever_is_known_the_command_is_no_less_and_three_times_as_far_ahead_at_most(
+    command: Array, action: Array, hand: Array, blockage: Array, stiffness: Array
+) -> None:
+    wide = dataclasses.replace(
+        LAYOUT, workspace=dataclasses.replace(WORKSPACE, low=(-9.0,) * 3, high=(9.0,) * 3)
+    )
+    plain, known = (
+        in_actions(next_position(wide, command, action, hand, blockage, m) - hand)
+        for m in (None, stiffness)
+    )
+    assert (known >= plain - 1e-9).all()
+    assert (known <= SOFTEST * plain + 1e-9).all()
+
+
+@settings(deadline=None)
+@given(inside_box, actions, st.floats(1.0 / SOFTEST, 1.0))
+def test_a_soft_arm_pushes_an_obstacle_as_hard_as_training_s(
+    hand: Array, action: Array, ratio: float
+) -> None:
+    """A blocked hand of springs: what the command of either arm settles at gives one force."""
+    wide = dataclasses.replace(
+        LAYOUT, workspace=dataclasses.replace(WORKSPACE, low=(-9.0,) * 3, high=(9.0,) * 3)
+    )
+    forces = []
+    for spring, known in ((1.0, None), (ratio, ratio * np.eye(3))):
+        integrator = CommandIntegrator(wide, 0.025, known)
+        integrator.start(hand[None])
+        for _ in range(12):
+            integrator.begin_step(np.clip(action[:1] / ratio, -1.0, 1.0), hand[None])
+        forces.append(spring * (integrator.position_w - hand))
+    settled = in_actions(forces[0]) >= WORKSPACE.held_following_error - 1e-9
+    pushes = in_actions(forces[1]) >= WORKSPACE.held_following_error - 1e-9
+    if settled.all() and pushes.all():
+        np.testing.assert_allclose(in_actions(forces[1]), in_actions(forces[0]), rtol=1e-6)
+    assert (in_actions(forces[1]) <= WORKSPACE.held_following_error + 1e-9).all()
+
+
+@settings(deadline=None)
+@given(positions, actions, positions, blockages)
+def test_the_arm_of_training_changes_nothing(
+    command: Array, action: Array, hand: Array, blockage: Array
+) -> None:
+    known, plain = (
+        next_position(LAYOUT, command, action, hand, blockage, m) for m in (np.eye(3), None)
+    )
+    np.testing.assert_allclose(known, plain, rtol=0, atol=1e-12)

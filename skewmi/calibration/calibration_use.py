@@ -9,7 +9,9 @@ import math
 import numpy as np
 
 from skewmi.calibration.calibration_file import Calibration
+from skewmi.policy_io import Array, Workspace
 from skewmi.robot_models.feed_forward import ServoConstants
+from skewmi.robot_models.hand_stiffness import hand_stiffness
 
 
 def servo_constants(calibration: Calibration) -> ServoConstants | None:
@@ -19,6 +21,19 @@ def servo_constants(calibration: Calibration) -> ServoConstants | None:
         return None
     lead = np.array(servo.kd_over_kp.value) + servo.delay_ms.value[0] / 1e3
     return ServoConstants(lead, np.array(servo.frictionloss_over_kp.value))
+
+
+def known_stiffness(calibration: Calibration, workspace: Workspace) -> Array | None:
+    """What a command integrator takes of it; None if the servos were not calibrated.
+
+    Args:
+        calibration: Of the robot.
+        workspace: At whose start the hand's stiffness is taken.
+    """
+    servo = calibration.servo
+    if servo is None:
+        return None
+    return hand_stiffness(np.array(servo.kp.value), np.array(workspace.start_configuration))
 
 
 def fingerprint(calibration: Calibration) -> str:

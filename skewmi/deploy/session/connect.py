@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable
 
 from skewmi.calibration.calibration_file import Calibration
+from skewmi.calibration.calibration_use import known_stiffness
 from skewmi.deploy.motion.planner import Planner
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.report import DeployReport
@@ -101,7 +102,10 @@ def connect(
     planner = Planner(workspace, limits, flange_speed=flange_speed)
     pace = choose_pace(layout, options.speed, planner.hand_bounds.speed, limits.name)
     _tell_pace(pace, report, tell)
-    motion = PolicyMotion(policy, planner, observer, stream, robot, shown, times, pace.step_cycles)
+    motion = PolicyMotion(
+        *(policy, planner, observer, stream, robot, shown, times, pace.step_cycles),
+        stiffness=None if known is None else known_stiffness(known, workspace),
+    )
     preflight = Preflight(layout, options, limits, robot, observer, checks, status, stop, described)
     approach = Approach(loop, stream, limits, flange_speed)
     episodes = EpisodeRunner(

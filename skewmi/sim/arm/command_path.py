@@ -30,6 +30,7 @@ class CommandPath:
         scene: Gives kinematics and controls.
         n: Number of arms.
         feed_forward: Of servos that are known; None for that of the nominal ones.
+        stiffness: Of the hand that they make, relative to training's; None for that of training.
 
     Attributes:
         feed_forward: As given.
@@ -43,10 +44,11 @@ class CommandPath:
         scene: ArmScene,
         n: int,
         feed_forward: FeedForward | None = None,
+        stiffness: Array | None = None,
     ) -> None:
         self.feed_forward = feed_forward
         self._layout, self._scene, self._workspace = layout, scene, workspace_of(layout)
-        self.integrator = CommandIntegrator(layout, definition.FINGER_MAX)
+        self.integrator = CommandIntegrator(layout, definition.FINGER_MAX, stiffness)
         self.q: Array = np.empty((n, 7))
         # Held from step to step, because allocating them costs as much as several substeps.
         steps = definition.SUBSTEPS

@@ -9,9 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from skewmi.calibration.calibration_file import Calibration, read_calibration
-from skewmi.calibration.calibration_use import LARGEST_LID_BIAS, lid_bias, servo_constants
+from skewmi.calibration.calibration_use import (
+    LARGEST_LID_BIAS,
+    known_stiffness,
+    lid_bias,
+    servo_constants,
+)
 from skewmi.errors import ConfigurationError
-from skewmi.policy_io import Array
+from skewmi.policy_io import Array, Workspace
 from skewmi.robot_models.feed_forward import FeedForward
 from skewmi.sim.arm.arm_task import SensedJoint
 
@@ -58,6 +63,10 @@ class Known:
         """Of the servos, without limits; None if they were not calibrated."""
         constants = servo_constants(self.calibration)
         return None if constants is None else FeedForward(constants, None)
+
+    def stiffness(self, workspace: Workspace) -> Array | None:
+        """Of the hand relative to training's; None if the servos were not calibrated."""
+        return known_stiffness(self.calibration, workspace)
 
     def zero(self, joints: tuple[SensedJoint, ...], errors: Array | None) -> Array | None:
         """What to take off the readings of the scene's joints in an episode.

@@ -57,7 +57,8 @@ class ArmPhysics:
         self.scene, self._known = scene, known
         self.batch = Batch(scene.physics_model, num_envs, num_threads)
         feed_forward = None if known is None else known.feed_forward()
-        self.command = CommandPath(layout, scene, num_envs, feed_forward)
+        stiffness = None if known is None else known.stiffness(workspace_of(layout))
+        self.command = CommandPath(layout, scene, num_envs, feed_forward, stiffness)
         # The nominal variation is none at all, so that it costs nothing.
         nominal = variation.is_nominal
         self.varied = None if nominal else BatchVariation(variation, scene, self.batch, seed)
