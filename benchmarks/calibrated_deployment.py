@@ -15,7 +15,9 @@ import argparse
 import json
 import time
 from contextlib import redirect_stderr, redirect_stdout
+from functools import partial
 from io import StringIO
+from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -115,21 +117,23 @@ def main() -> None:
     parser.add_argument("--simulated", type=int, default=20, help="episodes; 0 for none")
     parser.add_argument("--pose", type=float, default=1.0, help="part of the box's displacement")
     parser.add_argument("--rows", type=Path, default=None, help="file of finished robots (JSONL)")
+    parser.add_argument("--processes", type=int, default=1, help="robots at the same time")
     args = parser.parse_args()
     rows = []
     if args.rows is not None and args.rows.is_file():
         rows = [json.loads(line) for line in args.rows.read_text().splitlines()]
-    for number in range(len(rows), args.robots):
-        row = one_robot(args, number)
-        rows.append(row)
-        if args.rows is not None:
-            with args.rows.open("a") as file:
-                file.write(json.dumps(row) + "\n")
-        progress(
-            f"robot {number}: simulated {row.get('simulated_before')} -> "
-            f"{row.get('simulated_after')} of {args.simulated}, deployed "
-            f"{row['deployed_before']} -> {row['deployed_after']} of {args.episodes}"
-        )
+    # Started anew, so that nothing of one robot's run is in the next one's.
+    with get_context("spawn").Pool(args.processes, maxtasksperchild=1) as pool:
+        for row in pool.imap(partial(one_robot, args), range(len(rows), args.robots)):
+            rows.append(row)
+            if args.rows is not None:
+                with args.rows.open("a") as file:
+                    file.write(json.dumps(row) + "\n")
+            progress(
+                f"robot {row['number']}: simulated {row.get('simulated_before')} -> "
+                f"{row.get('simulated_after')} of {args.simulated}, deployed "
+                f"{row['deployed_before']} -> {row['deployed_after']} of {args.episodes}"
+            )
     keys = ("policy", "robots", "seconds", "episodes", "simulated", "pose")
     document = write_result(
         "calibrated_deployment",

@@ -8,7 +8,8 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import replace
 
-from skewmi.calibration.calibration_file import read_calibration
+from skewmi.calibration.calibration_file import Calibration, read_calibration
+from skewmi.calibration.calibration_use import servo_constants
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.recording.reader import run_metadata
 from skewmi.deploy.recording.recorder import Recorder
@@ -103,7 +104,7 @@ def _run(
         with Link.open(config, NODE_NAME) as link:
             link.wait_for_robot(5.0)
             session = connect(policy, options, link, report, stop, tell, known)
-            with _beside(options, policy, link, session.trust, config, report):
+            with _beside(options, policy, link, session.trust, config, report, known):
                 session.run()
     return report
 
@@ -134,12 +135,13 @@ def _beside(
     trust: Trust,
     config: TransportConfig,
     report: DeployReport,
+    known: Calibration | None,
 ) -> Iterator[None]:
     """Record and show the run, if asked to, from processes of their own."""
     if options.record is None and options.live is None:
         yield
         return
-    metadata = _metadata(options, policy, link, trust)
+    metadata = _metadata(options, policy, link, trust, known)
     client = replace(config, lock_step=False)
     with (
         _live_view(options, metadata, client, trust, report),
@@ -151,9 +153,12 @@ def _beside(
         yield
 
 
-def _metadata(options: DeployOptions, policy: Policy, link: Link, trust: Trust) -> dict[str, str]:
+def _metadata(
+    options: DeployOptions, policy: Policy, link: Link, trust: Trust, known: Calibration | None
+) -> dict[str, str]:
     """What the run is about."""
-    limits = planning_limits(options.limits, options.speed)
+    servos = None if known is None else servo_constants(known)
+    limits = planning_limits(options.limits, options.speed, servos)
     reply = link.call(topics.YUMI_DESCRIBE, 5.0, SCENE_REQUEST, only=trust.server)
     description = RobotDescription.from_json(reply.message)
     return run_metadata(

@@ -18,7 +18,7 @@ One law for the batched simulation and the robot server. Numpy only.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -69,6 +69,30 @@ class ServoConstants:
                 )
             value.flags.writeable = False
             object.__setattr__(self, name, value)
+
+
+PLANNED_ACCELERATION = 0.5
+"""Part of the acceleration that a plan for known servos uses; the rest is feed-forward's."""
+FED_FORWARD_JERK = 1.0
+"""Acceleration that feed-forward makes of a plan's largest jerk, as part of the profile's."""
+
+
+def followable(limits: JointLimits, constants: ServoConstants) -> JointLimits:
+    """Limits for plans whose feed-forward a robot server can send within the given ones.
+
+    What is sent is the plan, and ahead of it by lead times velocity: its acceleration is the plan's
+    and lead times jerk. A plan that uses all of acceleration and jerk asks for ten times as much as
+    is there. Then what is sent comes late, the arm swings about the plan, and a hand that is
+    commanded by what is measured of it swings along.
+
+    Args:
+        limits: Of what is sent.
+        constants: Of the servos that it is sent to.
+    """
+    room = FED_FORWARD_JERK * limits.acceleration
+    with np.errstate(divide="ignore"):
+        jerk = np.minimum(limits.jerk, room / constants.lead)
+    return replace(limits, acceleration=PLANNED_ACCELERATION * limits.acceleration, jerk=jerk)
 
 
 class FeedForward:

@@ -10,7 +10,12 @@ from numpy.typing import NDArray
 
 from skewmi.errors import ConfigurationError
 from skewmi.robot_models import limits, servo, yumi
-from skewmi.robot_models.feed_forward import LARGEST_OFFSET, FeedForward, ServoConstants
+from skewmi.robot_models.feed_forward import (
+    LARGEST_OFFSET,
+    FeedForward,
+    ServoConstants,
+    followable,
+)
 from skewmi.robot_models.limits import JointLimits
 from skewmi.trajectory import GRID_S, Array
 
@@ -130,6 +135,37 @@ def test_what_is_sent_stays_near_a_reference_within_limits(name: str, reference:
     off = np.abs(x - q).max(axis=0)
     inside = stays_inside(profile, q)
     assert np.all((off <= LARGEST_OFFSET + stopping_way(profile))[inside])
+
+
+@pytest.mark.parametrize("lead", [0.05, 0.1, 0.2])
+@pytest.mark.parametrize("reference", [bang_bang, starts_and_stops])
+def test_plans_that_can_be_followed_are_sent_much_closer_to_the_law(
+    lead: float, reference: Reference
+) -> None:
+    """Beside plans that use the profile itself, in the worst way."""
+    profile, constants = limits.profile("lab"), ServoConstants(np.full(7, lead), np.full(7, 0.005))
+    worst = []
+    for of_plan in (followable(profile, constants), profile):
+        q, v = reference(of_plan, np.random.default_rng(5))
+        law, governed = (sent(FeedForward(constants, bound), q, v) for bound in (None, profile))
+        # Away from joint limits, at which the law itself cannot be sent.
+        free = np.all(np.abs(q - MIDDLE) < profile.position_upper - MIDDLE - 0.35, axis=0)
+        assert free.sum() > 50
+        worst.append(float(np.abs(governed - law)[:, free].max()))
+    assert worst[0] < 0.55 * worst[1]
+
+
+@pytest.mark.parametrize("name", limits.PROFILES)
+def test_limits_that_can_be_followed_are_within_the_given_ones(name: str) -> None:
+    profile = limits.profile(name)
+    lead = np.array([0.0, 1e-6, 0.01, 0.05, 0.1, 0.3, 9.0])
+    found = followable(profile, ServoConstants(lead, np.zeros(7)))
+    assert np.all(found.acceleration < profile.acceleration)
+    assert np.all(found.jerk <= profile.jerk)
+    assert np.all(lead * found.jerk <= profile.acceleration * (1.0 + 1e-12))
+    np.testing.assert_array_equal(found.jerk[:2], profile.jerk[:2])
+    np.testing.assert_array_equal(found.velocity, profile.velocity)
+    np.testing.assert_array_equal(found.position_upper, profile.position_upper)
 
 
 def test_without_limits_it_is_the_law_itself() -> None:

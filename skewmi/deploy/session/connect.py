@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 
 from skewmi.calibration.calibration_file import Calibration
-from skewmi.calibration.calibration_use import known_stiffness
+from skewmi.calibration.calibration_use import servo_constants
 from skewmi.deploy.motion.planner import Planner
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.report import DeployReport
@@ -65,7 +65,8 @@ def connect(
         TooBusyError: This computer is too busy, and the simulated robot of this run could wait.
     """
     layout, workspace = policy.layout, require_workspace(policy.layout)
-    limits = planning_limits(options.limits, options.speed)
+    servos = None if known is None else servo_constants(known)
+    limits = planning_limits(options.limits, options.speed, servos)
     told = link.publisher(topics.YUMI_STATUS)
     commands, gripper = link.publisher(topics.YUMI_TRAJECTORY), link.publisher(topics.YUMI_GRIPPER)
     shown = PolicyTopics.open(link, layout)
@@ -102,10 +103,7 @@ def connect(
     planner = Planner(workspace, limits, flange_speed=flange_speed)
     pace = choose_pace(layout, options.speed, planner.hand_bounds.speed, limits.name)
     _tell_pace(pace, report, tell)
-    motion = PolicyMotion(
-        *(policy, planner, observer, stream, robot, shown, times, pace.step_cycles),
-        stiffness=None if known is None else known_stiffness(known, workspace),
-    )
+    motion = PolicyMotion(policy, planner, observer, stream, robot, shown, times, pace.step_cycles)
     preflight = Preflight(layout, options, limits, robot, observer, checks, status, stop, described)
     approach = Approach(loop, stream, limits, flange_speed)
     episodes = EpisodeRunner(

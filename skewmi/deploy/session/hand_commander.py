@@ -38,8 +38,6 @@ class HandCommander:
         stream: Knows what was commanded for a time not long ago.
         step_s: How long a control step takes: longer than in training for a slowed-down one, s.
         delay: Of the arm behind its commands.
-        stiffness: Of its hand relative to training's, see `robot_models.hand_stiffness`; None for
-            that of training. Shape (3, 3).
     """
 
     def __init__(
@@ -50,10 +48,8 @@ class HandCommander:
         stream: ChunkStream,
         step_s: float,
         delay: ArmDelay,
-        stiffness: Array | None = None,
     ) -> None:
-        self.integrator = CommandIntegrator(layout, yumi.GRIPPER.travel, stiffness)
-        self._stiffness = np.eye(3) if stiffness is None else stiffness
+        self.integrator = CommandIntegrator(layout, yumi.GRIPPER.travel)
         self._planner, self._observer, self._stream = planner, observer, stream
         self._step_s = step_s
         self._delay = delay
@@ -145,7 +141,7 @@ class HandCommander:
         Returns:
             World, m. Shape (3,).
         """
-        deviation = float(np.linalg.norm(self._stiffness @ (hand_w - commanded_w)))
+        deviation = float(np.linalg.norm(hand_w - commanded_w))
         trust = (NOT_FOLLOWING - deviation) / (NOT_FOLLOWING - FOLLOWING)
         under_way_w = self.integrator.position_w[0] - commanded_w
         ahead_w: Array = hand_w + min(max(trust, 0.0), 1.0) * under_way_w

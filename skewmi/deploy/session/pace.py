@@ -9,6 +9,7 @@ import numpy as np
 
 from skewmi.policy_io import PolicyLayout
 from skewmi.robot_models import limits as joint_limits
+from skewmi.robot_models.feed_forward import ServoConstants, followable
 from skewmi.robot_models.limits import JointLimits
 from skewmi.trajectory import CYCLE_NS
 
@@ -47,8 +48,11 @@ def choose_pace(layout: PolicyLayout, speed: float, hand_speed: float, limits: s
     return Pace(cycles, executed, note)
 
 
-def planning_limits(profile: str, speed: float) -> JointLimits:
-    """The joint limits to plan with: a profile's, with no more than a fraction of full velocity.
+def planning_limits(
+    profile: str, speed: float, servos: ServoConstants | None = None
+) -> JointLimits:
+    """The joint limits to plan with: a profile's, with no more than a fraction of full velocity,
+    and no more acceleration and jerk than known servos can be made to follow.
 
     Full velocity is that of the fastest profile, so that a slow profile is not slowed down a
     second time. Acceleration and jerk stay: a slower robot shall not need longer to stop.
@@ -56,11 +60,14 @@ def planning_limits(profile: str, speed: float) -> JointLimits:
     Args:
         profile: Name of the profile.
         speed: Fraction of the training's speed, 0..1.
+        servos: Of the robot, if they are known.
 
     Raises:
         NotFoundError: No such profile.
     """
     limits = joint_limits.profile(profile)
+    if servos is not None:
+        limits = followable(limits, servos)
     full = np.max([other.velocity for other in joint_limits.PROFILES.values()], axis=0)
     return replace(limits, velocity=np.minimum(limits.velocity, speed * full))
 

@@ -30,7 +30,6 @@ class PolicyMotion:
         topics: Where observations and actions are published.
         times: Stage times.
         step_cycles: Planner cycles that a control step takes.
-        stiffness: Of the known hand relative to training's; None for that of training.
 
     Attributes:
         steps: Control steps that the policy was asked for in this episode.
@@ -57,7 +56,6 @@ class PolicyMotion:
         topics: PolicyTopics,
         times: CycleTimes,
         step_cycles: int,
-        stiffness: Array | None = None,
     ) -> None:
         self._policy = policy
         self._layout = policy.layout
@@ -69,7 +67,7 @@ class PolicyMotion:
         self._step_cycles = step_cycles
         step_s = step_cycles * CYCLE_NS / 1e9
         self.commander = HandCommander(
-            policy.layout, planner, observer, stream, step_s, robot.delay, stiffness
+            policy.layout, planner, observer, stream, step_s, robot.delay
         )
         """What the hand is commanded to; of the present or last episode."""
         self.forget()

@@ -16,6 +16,7 @@ from skewmi.deploy.motion.start_motion import StartMotion
 from skewmi.deploy.session import approach as approach_module
 from skewmi.deploy.session import connect as connect_module
 from skewmi.deploy.session.pace import planning_limits
+from skewmi.robot_models.feed_forward import ServoConstants
 from skewmi.robot_models.limits import JointLimits
 from skewmi.trajectory import CYCLE_TICKS, JointTrajectory
 
@@ -75,8 +76,8 @@ class Planted:
             def chunk(self, cycle: int) -> JointTrajectory:
                 return planted.plan(super().chunk(cycle))
 
-        def weak_limits(profile: str, speed: float) -> JointLimits:
-            limits = planning_limits(profile, speed)
+        def weak_limits(profile: str, speed: float, servos: ServoConstants | None) -> JointLimits:
+            limits = planning_limits(profile, speed, servos)
             return replace(limits, torque=planted.torque_share * limits.torque)
 
         return [

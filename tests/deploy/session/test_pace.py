@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from skewmi.deploy.session.pace import action_cycles, followed_speed, planning_limits
 from skewmi.robot_models import limits as joint_limits
+from skewmi.robot_models.feed_forward import ServoConstants, followable
 from skewmi.sim.tasks.open_press_close.definition import make_layout
 
 LAB = joint_limits.profile("lab")
@@ -19,6 +20,14 @@ def test_a_slow_profile_is_not_slowed_down_twice() -> None:
     np.testing.assert_array_equal(planning_limits("careful", 0.3).velocity, careful.velocity)
     np.testing.assert_allclose(planning_limits("lab", 0.3).velocity, 0.3 * LAB.velocity)
     np.testing.assert_array_equal(planning_limits("lab", 0.3).jerk, LAB.jerk)
+
+
+def test_known_servos_are_given_no_more_than_they_can_be_made_to_follow() -> None:
+    servos = ServoConstants(np.full(7, 0.1), np.zeros(7))
+    found = planning_limits("lab", 0.3, servos)
+    np.testing.assert_array_equal(found.jerk, followable(LAB, servos).jerk)
+    np.testing.assert_array_equal(found.velocity, planning_limits("lab", 0.3).velocity)
+    assert found.name == "lab"
 
 
 def test_policy_runs_as_fast_as_the_hand_can_follow() -> None:
