@@ -16,10 +16,11 @@ from skewmi.deploy.robot.status import RobotStatus
 from skewmi.deploy.session.news import SessionNews
 from skewmi.deploy.session.states import SessionEvent, SessionState
 from skewmi.deploy.wire import topics
+from skewmi.deploy.wire.controller_state import ControllerState, encode_controller_state
 from skewmi.deploy.wire.messages import JointStates, encode_chunk, encode_joint_states
 from skewmi.robot_models import yumi
 from skewmi.sim.tasks.open_press_close.definition import make_layout
-from skewmi.trajectory import JointTrajectory, TrajectoryChunk
+from skewmi.trajectory import JointPoint, JointTrajectory, TrajectoryChunk
 
 PROGRAM = Path(__file__).with_name("stranger_process.py")
 LATER_NS = 2_000_000_000 * 1_000_000_000
@@ -62,6 +63,16 @@ FALSE: dict[str, bytes] = {
         )
     ),
     topics.YUMI_GRIPPER.name: joints(yumi.finger_names("right")[:1]),
+    topics.YUMI_CONTROLLER_STATE.name: encode_controller_state(
+        ControllerState(
+            LATER_NS,
+            yumi.joint_names("right"),
+            JointPoint(np.ones(7), np.ones(7), np.ones(7)),
+            np.ones(7),
+            np.ones(7),
+            np.ones(7),
+        )
+    ),
 }
 """Well-formed and wrong, for each topic."""
 
