@@ -68,11 +68,18 @@ def estimates(
         else:
             half = np.minimum(half, _WIDEST)
             low, high = value * np.exp(-half), value * np.exp(half)
-        found[name] = Estimate(value, low, high, _known(name, value, low, high, own.kp))
+        found[name] = Estimate(value, low, high, is_known(name, value, low, high, own.kp))
     return found
 
 
-def _known(name: str, value: Array, low: Array, high: Array, kp: Array) -> tuple[bool, ...]:
+def is_known(name: str, value: Array, low: Array, high: Array, kp: Array) -> tuple[bool, ...]:
+    """Whether the interval of a constant is narrow enough to say so.
+
+    Args:
+        name: Of the constant.
+        value, low, high: Of it.
+        kp: Stiffness of the same joints, N m/rad. Shape (7,).
+    """
     allowed = KNOWN * value
     if name == "frictionloss":
         allowed = np.maximum(allowed, KNOWN_FRICTION)

@@ -25,6 +25,8 @@ class ServoRecording:
             from k * 4 ms on, if nothing is delayed. It begins at rest.
         times_s: When positions were measured, on the clock of the commands, rising, s. Shape (m,).
         positions: Measured joint positions, chain order, rad. Shape (m, 7).
+        efforts: What the servos pushed with at these times, N m, gravity not in it. Shape (m, 7);
+            None if the robot does not tell.
 
     Raises:
         ConfigurationError: Shapes or numbers are not as above, or it is too short.
@@ -33,6 +35,7 @@ class ServoRecording:
     commands: JointTrajectory
     times_s: Array
     positions: Array
+    efforts: Array | None = None
 
     def __post_init__(self) -> None:
         times = np.array(self.times_s, dtype=np.float64)
@@ -42,7 +45,14 @@ class ServoRecording:
                 f"a servo recording has commands {self.commands.q.shape}, times {times.shape} and "
                 f"positions {positions.shape}; they must be (n, 7), (m,) and (m, 7)"
             )
-        parts = (self.commands.q, self.commands.v, times, positions)
+        efforts = None if self.efforts is None else np.array(self.efforts, dtype=np.float64)
+        if efforts is not None and efforts.shape != positions.shape:
+            raise ConfigurationError(
+                f"a servo recording has efforts {efforts.shape}; they must be as the positions, "
+                f"{positions.shape}"
+            )
+        parts = [self.commands.q, self.commands.v, times, positions]
+        parts += [] if efforts is None else [efforts]
         if not all(np.isfinite(part).all() for part in parts):
             raise ConfigurationError("a servo recording has numbers that are not finite")
         if (np.diff(times) <= 0.0).any():
@@ -58,6 +68,8 @@ class ServoRecording:
             raise ConfigurationError("the commands of a servo recording must begin at rest")
         object.__setattr__(self, "times_s", kept)
         object.__setattr__(self, "positions", positions[inside])
+        if efforts is not None:
+            object.__setattr__(self, "efforts", efforts[inside])
 
     @property
     def motion_begins_s(self) -> float:
@@ -86,4 +98,4 @@ class ServoRecording:
     def shortened(self, seconds: float) -> ServoRecording:
         """The first part of it."""
         rows = slice(0, round(max(seconds, SHORTEST_S) / GRID_S) + 1)
-        return ServoRecording(self.commands.part(rows), self.times_s, self.positions)
+        return ServoRecording(self.commands.part(rows), self.times_s, self.positions, self.efforts)

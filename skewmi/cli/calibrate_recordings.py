@@ -6,6 +6,8 @@ import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from skewmi.calibration.calibration_file import RecordingReference
 from skewmi.calibration.servo_recording import ServoRecording
 from skewmi.deploy.recording.joint_series import executed_reference, measured_states
@@ -58,11 +60,14 @@ def read_excitation(path: Path) -> RecordedExcitation:
     if missing:
         raise ConfigurationError(f"{path} has no positions of {', '.join(missing)}")
     columns = [measured.names.index(name) for name in joints]
+    efforts = measured.effort[:, columns]
     try:
         recording = ServoRecording(
             commands,
             (measured.stamps_ns - first_ns) / 1e9,
             measured.position[:, columns],
+            # A message without efforts makes them unfit for use.
+            efforts if np.isfinite(efforts).all() else None,
         )
     except ConfigurationError as error:
         raise ConfigurationError(f"{path}: {error}") from error

@@ -17,6 +17,7 @@ from rich.table import Table
 
 from skewmi import __version__
 from skewmi.calibration.calibration_file import Calibration, read_calibration, write_calibration
+from skewmi.calibration.servo_effort import EffortScale, effort_scale, with_efforts
 from skewmi.calibration.servo_identification import (
     ServoIdentification,
     identify_servos,
@@ -37,6 +38,9 @@ KNOWN_MASSES = (
     "and frictionloss are wrong by the same part, their ratios are not (--inertia-uncertainty)"
 )
 
+OTHER_INERTIA = 0.05
+"""From which part on a joint's inertia is told to be another one than the model's."""
+
 
 @dataclass(frozen=True)
 class Servo:
@@ -52,6 +56,9 @@ class Servo:
     """Calibration file to write (YAML); what it has of a scene is kept with --start-from."""
     held_out: Path | None = None
     """A recording that is not used, to judge by."""
+    effort: bool = False
+    """Use the measured efforts, N m: they tell the inertia, and so the constants in N m where the
+    model's masses are wrong. For robots that tell the efforts of their servos."""
     free_armature: bool = False
     """Identify the rotor inertia, too: of a wrist then only ratios are known."""
     inertia_uncertainty: float = 0.0
@@ -90,11 +97,17 @@ def run_servo(options: Servo) -> int:
             inertia_uncertainty=options.inertia_uncertainty,
             start=start,
         )
+        if options.effort:
+            scale = effort_scale(model, found.servo, [e.recording for e in recorded])
+            found = with_efforts(found, scale)
     seconds = time.perf_counter() - begun
     judged = [] if held_out is None else [held_out.recording]
     checks = _checks(model, found, [e.recording for e in recorded], judged)
     warnings = servo_warnings(found)
-    if not options.inertia_uncertainty and not options.free_armature:
+    if options.effort:
+        checks |= {f"effort_scale_{j}": float(s) for j, s in enumerate(scale.value, 1)}
+        warnings += _of_inertia(scale)
+    elif not options.inertia_uncertainty and not options.free_armature:
         warnings += (KNOWN_MASSES,)
     calibration = Calibration(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -118,6 +131,16 @@ def run_servo(options: Servo) -> int:
         print_servo(calibration, Console())
     every_known = all(all(flags) for flags in document["servo"]["identified"].values())
     return 0 if every_known else 1
+
+
+def _of_inertia(scale: EffortScale) -> tuple[str, ...]:
+    """What efforts say of the model's masses, if it is worth a word."""
+    return tuple(
+        f"by its efforts {joint} moves {value:.2f} times the inertia of the model: constants in "
+        "N m are by the efforts, and a simulation of them needs that inertia"
+        for joint, value in zip(yumi.joint_names("right"), scale.value, strict=True)
+        if abs(value - 1.0) > OTHER_INERTIA
+    )
 
 
 def _check_outputs(options: Servo) -> None:

@@ -81,16 +81,18 @@ class DrawnRobot:
         """
         variation = self.variation(joint_noise, seed, mass_scale)
         simulation = ArmSimulation(None, motion.q[0], json.dumps(variation))
-        times, positions = [], []
+        times, positions, efforts = [], [], []
         for tick in range(len(motion)):
             if tick % CYCLE_TICKS == 0:
                 times.append(tick * GRID_S)
-                positions.append(simulation.robot_state(0).position[:7].copy())
+                state = simulation.robot_state(0)
+                positions.append(state.position[:7].copy())
+                efforts.append(state.effort[:7].copy())
             simulation.command = motion.point(tick)
             simulation.step()
         contact = simulation.contact.summary()
         assert contact["arm_force_peak_n"] == contact["hand_force_peak_n"] == 0.0, contact
-        return ServoRecording(motion, np.array(times), np.array(positions))
+        return ServoRecording(motion, np.array(times), np.array(positions), np.array(efforts))
 
 
 def known_servo(
