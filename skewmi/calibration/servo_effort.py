@@ -1,8 +1,9 @@
-"""What efforts tell beyond positions: how much inertia there is, and so the constants in N m.
+"""What efforts tell beyond positions: stiffness and damping in N m, whatever the masses are.
 
 Positions tell stiffness, damping and friction per inertia: a model that is 15 % too light finds
-all three 15 % too small. Its servos then push 15 % too weakly, at every moment; so the slope of
-measured over simulated effort of a joint is the factor that its constants lack. Offsets are left
+all three 15 % too small. A servo pushes with e = kp (x - q) - kd v, target x late; where the arm
+is positions tell, so that kp and kd follow from its efforts by linear least squares, without any
+inertia. Friction is its ratio to kp, from positions, times that. Offsets of the efforts are left
 out: they are weight that the controller does not compensate, and sensors' zeros.
 """
 
@@ -25,37 +26,39 @@ from skewmi.trajectory import GRID_S
 LATEST_TICKS = 3
 """How late efforts may be told after the positions they belong to, ticks of 4 ms."""
 PUSHING = 0.9
-"""Part of the force limit beyond which a servo may be at it: no slope is to be had there."""
+"""Part of the force limit beyond which a servo may be at it, and tells nothing."""
 
 
 @dataclass(frozen=True, eq=False)
-class EffortScale:
-    """By what the constants of a joint are to be multiplied.
+class EffortFit:
+    """Stiffness and damping by efforts. Each shape (7,).
 
     Attributes:
-        value: Shape (7,).
-        deviation: Standard deviation, as a part of the value. Shape (7,).
+        kp: N m/rad.
+        kp_deviation: Its standard deviation, as a part of it.
+        kd: N m s/rad.
+        kd_deviation: Likewise.
     """
 
-    value: Array
-    deviation: Array
+    kp: Array
+    kp_deviation: Array
+    kd: Array
+    kd_deviation: Array
 
 
-def effort_scale(
-    model: ServoModel,
-    servo: DelayedServo,
-    recordings: Sequence[ServoRecording],
-) -> EffortScale:
-    """Compare measured efforts with those of identified servos.
+def fit_efforts(
+    model: ServoModel, servo: DelayedServo, recordings: Sequence[ServoRecording]
+) -> EffortFit:
+    """Find what makes measured efforts of where the arm was.
 
     Args:
-        model: That they were identified with.
-        servo: As identified from positions.
+        model: That the servos were identified with.
+        servo: As identified from positions: simulated, it is where the arm was.
         recordings: That have efforts.
 
     Raises:
-        ConfigurationError: A recording has no efforts, or those of a joint do not follow its
-            motion at all.
+        ConfigurationError: A recording has no efforts, or those of a joint do not grow with what
+            its servo is off its target.
     """
     for recording in recordings:
         if recording.efforts is None:
@@ -63,79 +66,89 @@ def effort_scale(
                 "a recording has no efforts, as of a robot that does not tell them; leave out "
                 "--effort"
             )
-    simulated = [model.torques(servo, r.commands, r.start) for r in recordings]
-    late = min(
-        range(LATEST_TICKS + 1),
-        key=lambda ticks: _fit(recordings, simulated, ticks, servo)[2],
-    )
-    slope, deviation, _ = _fit(recordings, simulated, late, servo)
-    wrong = np.flatnonzero(~(slope > 0.0))
+    pushed = [
+        (*model.errors(servo, r.commands, r.start), model.positions([servo], r)[0])
+        for r in recordings
+    ]
+    fits = [_fit(recordings, pushed, ticks, servo) for ticks in range(LATEST_TICKS + 1)]
+    fit, _ = min(fits, key=lambda each: each[1])
+    wrong = np.flatnonzero(~((fit.kp > 0.0) & (fit.kd > 0.0)))
     if wrong.size:
         raise ConfigurationError(
             f"the efforts of joints {(wrong + 1).tolist()} of the chain do not grow with what "
-            "their servos push; are they in N m, of these joints, with the sign of the positions?"
+            "their servos are off their targets; are they in N m, of these joints, with the sign "
+            "of the positions?"
         )
-    return EffortScale(slope, deviation / slope)
+    return fit
 
 
-def with_efforts(found: ServoIdentification, scale: EffortScale) -> ServoIdentification:
+def with_efforts(found: ServoIdentification, fit: EffortFit) -> ServoIdentification:
     """What was identified from positions, its constants in N m by the efforts.
 
     The servos that reproduce the motion with the model's inertia stay as they are.
     """
-    kp = scale.value * found.estimates["kp"].value
     estimates = dict(found.estimates)
-    for name in ("kp", "kd", "armature"):
-        if name in estimates:
-            one = estimates[name]
-            value = scale.value * one.value
-            half = np.hypot(np.log(one.high / one.value), TWO_SIDED_95 * scale.deviation)
-            low, high = value * np.exp(-half), value * np.exp(half)
-            estimates[name] = Estimate(value, low, high, is_known(name, value, low, high, kp))
-    one = estimates["frictionloss"]
-    value = scale.value * one.value
-    half = np.hypot(scale.value * (one.high - one.value), TWO_SIDED_95 * scale.deviation * value)
+    for name, value, deviation in (
+        ("kp", fit.kp, fit.kp_deviation),
+        ("kd", fit.kd, fit.kd_deviation),
+    ):
+        half = TWO_SIDED_95 * deviation
+        low, high = value * np.exp(-half), value * np.exp(half)
+        estimates[name] = Estimate(value, low, high, is_known(name, value, low, high, fit.kp))
+    ratio = found.estimates["frictionloss_over_kp"]
+    value = fit.kp * ratio.value
+    half = np.hypot(fit.kp * (ratio.high - ratio.value), TWO_SIDED_95 * fit.kp_deviation * value)
     low, high = np.maximum(value - half, 0.0), value + half
-    known = is_known("frictionloss", value, low, high, kp)
+    known = is_known("frictionloss", value, low, high, fit.kp)
     estimates["frictionloss"] = Estimate(value, low, high, known)
     return replace(found, estimates=estimates)
 
 
 def _fit(
     recordings: Sequence[ServoRecording],
-    simulated: Sequence[Array],
+    pushed: Sequence[tuple[Array, Array, Array]],
     late_ticks: int,
     servo: DelayedServo,
-) -> tuple[Array, Array, float]:
-    """Slopes, their standard deviations, and how far the efforts are off, in their own units."""
-    slopes, deviations, badness = np.empty(7), np.empty(7), 0.0
+) -> tuple[EffortFit, float]:
+    """For efforts so late; and how far they are off, as a part of themselves."""
+    values, deviations, badness = np.empty((7, 2)), np.empty((7, 2)), 0.0
     limit = PUSHING * servo.parameters.force_limit
     for joint in range(7):
-        pairs = [
-            _pairs(recording, torque[:, joint], joint, late_ticks)
-            for recording, torque in zip(recordings, simulated, strict=True)
+        parts = [
+            _rows(recording, *(each[:, joint] for each in told_of), joint, late_ticks)
+            for recording, told_of in zip(recordings, pushed, strict=True)
         ]
-        # Each recording has an offset of its own.
-        told = np.concatenate([a - a.mean() for a, _ in pairs])
-        ours = np.concatenate([b - b.mean() for _, b in pairs])
-        free = np.abs(np.concatenate([b for _, b in pairs])) < limit[joint]
-        told, ours = told[free], ours[free]
-        power = float(ours @ ours)
-        slopes[joint] = float(ours @ told) / power
-        residual = told - slopes[joint] * ours
-        variance = float(residual @ residual) / max(len(residual) - 2, 1)
-        memory = autocorrelation_time(residual)
-        deviations[joint] = np.sqrt(variance * memory / power)
+        matrix = np.concatenate([part[0] for part in parts])
+        told = np.concatenate([part[1] for part in parts])
+        free = np.concatenate([np.abs(part[2]) < limit[joint] for part in parts])
+        matrix, told = matrix[free], told[free]
+        information = matrix.T @ matrix
+        values[joint] = np.linalg.solve(information, matrix.T @ told)
+        residual = told - matrix @ values[joint]
+        variance = float(residual @ residual) / max(len(residual) - 3, 1)
+        covariance = variance * autocorrelation_time(residual) * np.linalg.inv(information)
+        deviations[joint] = np.sqrt(np.diag(covariance)) / np.abs(values[joint])
         badness += variance / max(float(told @ told) / len(told), 1e-30)
-    return slopes, deviations, badness
+    (kp, kd), (kp_deviation, kd_deviation) = values.T, deviations.T
+    return EffortFit(kp, kp_deviation, kd, kd_deviation), badness
 
 
-def _pairs(
-    recording: ServoRecording, torque: Array, joint: int, late_ticks: int
-) -> tuple[Array, Array]:
-    """Measured and simulated effort of a joint while it moves, N m."""
+def _rows(
+    recording: ServoRecording,
+    error: Array,
+    velocity: Array,
+    simulated: Array,
+    joint: int,
+    late_ticks: int,
+) -> tuple[Array, Array, Array]:
+    """Of one joint while it moves: what multiplies kp and kd, and the effort, each less its mean;
+    and the effort itself. Shapes (m, 2), (m,), (m,)."""
     assert recording.efforts is not None
     rows = recording.times_s >= recording.motion_begins_s + SETTLE_S
-    ticks = GRID_S * np.arange(len(torque))
     at = recording.times_s[rows] - GRID_S * late_ticks
-    return recording.efforts[rows, joint], np.interp(at, ticks, torque)
+    ticks = GRID_S * np.arange(len(error))
+    # Where the arm was, not where the model has it; between two ticks that hardly differs.
+    off = recording.positions[rows, joint] - simulated[rows]
+    matrix = np.stack((np.interp(at, ticks, error) - off, -np.interp(at, ticks, velocity)), axis=1)
+    effort = recording.efforts[rows, joint]
+    return matrix - matrix.mean(axis=0), effort - effort.mean(), effort

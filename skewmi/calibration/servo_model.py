@@ -139,8 +139,10 @@ class ServoModel:
             raise SimulationError("the simulation of a servo candidate left the finite numbers")
         return states[..., 1 + self._qpos], states[..., 1 + nq + self._dof]
 
-    def torques(self, candidate: DelayedServo, commands: JointTrajectory, start: Array) -> Array:
-        """What a candidate's servos push with at every command's time, without gravity.
+    def errors(
+        self, candidate: DelayedServo, commands: JointTrajectory, start: Array
+    ) -> tuple[Array, Array]:
+        """What a candidate's servos push by: how far targets are from positions, and velocities.
 
         Args:
             candidate: Of servos.
@@ -148,17 +150,15 @@ class ServoModel:
             start: Where it rests, rad. Shape (7,).
 
         Returns:
-            N m. Shape (n, 7).
+            Late targets less positions, rad, and velocities, rad/s, at every command's time. Each
+            shape (n, 7).
 
         Raises:
             SimulationError: The candidate's states are not finite.
         """
         (q,), (v,) = self.states([candidate], commands, start)
-        own = candidate.parameters
         target = _late(commands.q + self.velocity_lead * commands.v, candidate.delay_s)
-        torque = own.kp * (target - q) - own.kd * v
-        clipped: Array = np.clip(torque, -own.force_limit, own.force_limit)
-        return clipped
+        return target - q, v
 
     def arm(self, parameters: ServoParameters) -> ModelledArm:
         """The arm with given servos, for whoever steps it."""

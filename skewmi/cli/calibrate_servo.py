@@ -17,7 +17,7 @@ from rich.table import Table
 
 from skewmi import __version__
 from skewmi.calibration.calibration_file import Calibration, read_calibration, write_calibration
-from skewmi.calibration.servo_effort import EffortScale, effort_scale, with_efforts
+from skewmi.calibration.servo_effort import fit_efforts, with_efforts
 from skewmi.calibration.servo_identification import (
     ServoIdentification,
     identify_servos,
@@ -32,6 +32,7 @@ from skewmi.errors import ConfigurationError
 from skewmi.outputs import check_output
 from skewmi.robot_models import yumi
 from skewmi.robot_models.servo import CONTACT_SERVO
+from skewmi.robot_models.yumi import Array
 
 KNOWN_MASSES = (
     "masses and rotor inertias are taken as the model's: where those are wrong by a part, kp, kd "
@@ -39,7 +40,7 @@ KNOWN_MASSES = (
 )
 
 OTHER_INERTIA = 0.05
-"""From which part on a joint's inertia is told to be another one than the model's."""
+"""Difference of a joint's stiffness by efforts and by positions that is told, as a part of it."""
 
 
 @dataclass(frozen=True)
@@ -57,8 +58,8 @@ class Servo:
     held_out: Path | None = None
     """A recording that is not used, to judge by."""
     effort: bool = False
-    """Use the measured efforts, N m: they tell the inertia, and so the constants in N m where the
-    model's masses are wrong. For robots that tell the efforts of their servos."""
+    """Use the measured efforts, N m: they tell stiffness and damping where the model's masses are
+    wrong. For robots that tell the efforts of their servos."""
     free_armature: bool = False
     """Identify the rotor inertia, too: of a wrist then only ratios are known."""
     inertia_uncertainty: float = 0.0
@@ -98,15 +99,15 @@ def run_servo(options: Servo) -> int:
             start=start,
         )
         if options.effort:
-            scale = effort_scale(model, found.servo, [e.recording for e in recorded])
-            found = with_efforts(found, scale)
+            by_positions = found.estimates["kp"].value
+            fit = fit_efforts(model, found.servo, [e.recording for e in recorded])
+            found = with_efforts(found, fit)
     seconds = time.perf_counter() - begun
     judged = [] if held_out is None else [held_out.recording]
     checks = _checks(model, found, [e.recording for e in recorded], judged)
     warnings = servo_warnings(found)
     if options.effort:
-        checks |= {f"effort_scale_{j}": float(s) for j, s in enumerate(scale.value, 1)}
-        warnings += _of_inertia(scale)
+        warnings += _of_inertia(fit.kp / by_positions)
     elif not options.inertia_uncertainty and not options.free_armature:
         warnings += (KNOWN_MASSES,)
     calibration = Calibration(
@@ -133,12 +134,12 @@ def run_servo(options: Servo) -> int:
     return 0 if every_known else 1
 
 
-def _of_inertia(scale: EffortScale) -> tuple[str, ...]:
-    """What efforts say of the model's masses, if it is worth a word."""
+def _of_inertia(scale: Array) -> tuple[str, ...]:
+    """What efforts say of the model's masses, if it is worth a word. Shape (7,)."""
     return tuple(
-        f"by its efforts {joint} moves {value:.2f} times the inertia of the model: constants in "
-        "N m are by the efforts, and a simulation of them needs that inertia"
-        for joint, value in zip(yumi.joint_names("right"), scale.value, strict=True)
+        f"by its efforts {joint} is {value:.2f} times as stiff as by positions and the model's "
+        "masses: a simulation of these constants needs other masses"
+        for joint, value in zip(yumi.joint_names("right"), scale, strict=True)
         if abs(value - 1.0) > OTHER_INERTIA
     )
 

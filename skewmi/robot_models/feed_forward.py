@@ -73,8 +73,9 @@ class ServoConstants:
 
 PLANNED_ACCELERATION = 0.5
 """Part of the acceleration that a plan for known servos uses; the rest is feed-forward's."""
-FED_FORWARD_JERK = 1.0
-"""Acceleration that feed-forward makes of a plan's largest jerk, as part of the profile's."""
+FED_FORWARD_JERK = 1.5
+"""Acceleration that feed-forward makes of a plan's largest jerk, as part of the profile's: more than
+there is, because a plan seldom has both at once, and a slower one is late for its policy."""
 
 
 def followable(limits: JointLimits, constants: ServoConstants) -> JointLimits:
@@ -89,10 +90,15 @@ def followable(limits: JointLimits, constants: ServoConstants) -> JointLimits:
         limits: Of what is sent.
         constants: Of the servos that it is sent to.
     """
-    room = FED_FORWARD_JERK * limits.acceleration
-    with np.errstate(divide="ignore"):
-        jerk = np.minimum(limits.jerk, room / constants.lead)
-    return replace(limits, acceleration=PLANNED_ACCELERATION * limits.acceleration, jerk=jerk)
+    jerk = FED_FORWARD_JERK * limits.acceleration / np.maximum(constants.lead, 1e-9)
+    # One for all joints. Those that may change faster than others would not wait for them, and the
+    # hand would leave its path and its upright.
+    least = float(np.minimum(limits.jerk, jerk).min())
+    return replace(
+        limits,
+        acceleration=PLANNED_ACCELERATION * limits.acceleration,
+        jerk=np.full_like(limits.jerk, least),
+    )
 
 
 class FeedForward:

@@ -25,7 +25,9 @@ LARGEST_FORCE = 15.0
 def start(robot: str, out: Path) -> subprocess.Popen[bytes]:
     command = child_command("-m", "skewmi.cli.main", "calibrate", "scene", "--connect", robot)
     return subprocess.Popen(
-        [*command, "--out", str(out)], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+        [*command, "--lead-ms", "60", "--out", str(out)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
     )
 
 
