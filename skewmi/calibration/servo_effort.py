@@ -115,8 +115,8 @@ def _fit(
     limit = PUSHING * servo.parameters.force_limit
     for joint in range(7):
         parts = [
-            _rows(recording, *(each[:, joint] for each in told_of), joint, late_ticks)
-            for recording, told_of in zip(recordings, pushed, strict=True)
+            _rows(recording, error, velocity, simulated, joint, late_ticks)
+            for recording, (error, velocity, simulated) in zip(recordings, pushed, strict=True)
         ]
         matrix = np.concatenate([part[0] for part in parts])
         told = np.concatenate([part[1] for part in parts])
@@ -145,10 +145,13 @@ def _rows(
     and the effort itself. Shapes (m, 2), (m,), (m,)."""
     assert recording.efforts is not None
     rows = recording.times_s >= recording.motion_begins_s + SETTLE_S
+    error, velocity, simulated = (each[:, joint] for each in (error, velocity, simulated))
     at = recording.times_s[rows] - GRID_S * late_ticks
     ticks = GRID_S * np.arange(len(error))
-    # Where the arm was, not where the model has it; between two ticks that hardly differs.
+    # Where the arm was and how fast, not where the model has it: that hardly differs in some ticks.
     off = recording.positions[rows, joint] - simulated[rows]
-    matrix = np.stack((np.interp(at, ticks, error) - off, -np.interp(at, ticks, velocity)), axis=1)
+    faster = np.gradient(off, recording.times_s[rows])
+    errors = np.interp(at, ticks, error) - off
+    matrix = np.stack((errors, -np.interp(at, ticks, velocity) - faster), axis=1)
     effort = recording.efforts[rows, joint]
     return matrix - matrix.mean(axis=0), effort - effort.mean(), effort

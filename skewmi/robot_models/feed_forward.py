@@ -74,8 +74,8 @@ class ServoConstants:
 PLANNED_ACCELERATION = 0.5
 """Part of the acceleration that a plan for known servos uses; the rest is feed-forward's."""
 FED_FORWARD_JERK = 1.5
-"""Acceleration that feed-forward makes of a plan's largest jerk, as part of the profile's: more than
-there is, because a plan seldom has both at once, and a slower one is late for its policy."""
+"""Acceleration that feed-forward makes of a plan's largest jerk, as part of the profile's. More
+than there is, because a plan seldom has both at once, and a slower one is late for its policy."""
 
 
 def followable(limits: JointLimits, constants: ServoConstants) -> JointLimits:

@@ -69,8 +69,8 @@ def test_efforts_may_be_told_some_ticks_late(recording: ServoRecording, ticks: i
     at = np.maximum(np.round(recording.times_s / 0.004).astype(int) - ticks, 0)
     told = replace(recording, efforts=10.0 * error[at] - 2.0 * velocity[at])
     fit = fit_efforts(MODEL, TRUTH, [told])
-    np.testing.assert_allclose(fit.kp, 10.0, rtol=1e-6)
-    np.testing.assert_allclose(fit.kd, 2.0, rtol=1e-6)
+    np.testing.assert_allclose(fit.kp, 10.0, rtol=2e-3)
+    np.testing.assert_allclose(fit.kd, 2.0, rtol=2e-3)
 
 
 def test_recordings_with_different_weights_on_the_arm_agree(recording: ServoRecording) -> None:

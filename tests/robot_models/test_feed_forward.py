@@ -152,7 +152,7 @@ def test_plans_that_can_be_followed_are_sent_much_closer_to_the_law(
         free = np.all(np.abs(q - MIDDLE) < profile.position_upper - MIDDLE - 0.35, axis=0)
         assert free.sum() > 50
         worst.append(float(np.abs(governed - law)[:, free].max()))
-    assert worst[0] < 0.7 * worst[1]
+    assert worst[0] < 0.8 * worst[1]
 
 
 @pytest.mark.parametrize("name", limits.PROFILES)
