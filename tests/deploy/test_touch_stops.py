@@ -7,6 +7,7 @@ import random
 import signal
 import subprocess
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -16,16 +17,25 @@ from robot_servers import describe
 from skewmi.child import child_command
 from skewmi.cli.main import main
 from skewmi.deploy.recording.recorder import Recorder
+from skewmi.deploy.robot.process import spawn_robot
 from skewmi.deploy.wire.transport import TransportConfig
 
 LARGEST_FORCE = 15.0
 """N."""
 
 
+@pytest.fixture
+def robot() -> Iterator[str]:
+    """Locator of one whose hand stands where tasks start: not where the last test left it, beside
+    the box, from where no touches are planned."""
+    with spawn_robot("sim", "open_press_close", "lab", lock_step=False) as locator:
+        yield locator
+
+
 def start(robot: str, out: Path) -> subprocess.Popen[bytes]:
     command = child_command("-m", "skewmi.cli.main", "calibrate", "scene", "--connect", robot)
     return subprocess.Popen(
-        [*command, "--lead-ms", "60", "--out", str(out)],
+        [*command, "--lead-ms", "100", "--out", str(out)],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
     )

@@ -23,10 +23,12 @@ TOLERANCE = 0.005
 
 def wait_for(words: bytes, child: subprocess.Popen[bytes]) -> None:
     assert child.stderr is not None
+    told = []
     for line in child.stderr:
         if words in line:
             return
-    pytest.fail(f"it ended before {words!r}")
+        told.append(line)
+    pytest.fail(f"it ended before {words!r}, and said {b''.join(told[-5:])!r}")
 
 
 def wait_for_state(robot: str, state: str) -> None:
