@@ -9,9 +9,9 @@ import math
 import numpy as np
 
 from skewmi.calibration.calibration_file import Calibration
-from skewmi.policy_io import Array, Workspace
 from skewmi.robot_models.feed_forward import ServoConstants
 from skewmi.robot_models.hand_stiffness import hand_stiffness
+from skewmi.robot_models.yumi import Array
 
 
 def servo_constants(calibration: Calibration) -> ServoConstants | None:
@@ -23,17 +23,15 @@ def servo_constants(calibration: Calibration) -> ServoConstants | None:
     return ServoConstants(lead, np.array(servo.frictionloss_over_kp.value))
 
 
-def known_stiffness(calibration: Calibration, workspace: Workspace) -> Array | None:
+def known_stiffness(calibration: Calibration, configuration: Array) -> Array | None:
     """What a command integrator takes of it; None if the servos were not calibrated.
 
     Args:
         calibration: Of the robot.
-        workspace: At whose start the hand's stiffness is taken.
+        configuration: At which the hand's stiffness is taken, rad. Shape (7,).
     """
     servo = calibration.servo
-    if servo is None:
-        return None
-    return hand_stiffness(np.array(servo.kp.value), np.array(workspace.start_configuration))
+    return None if servo is None else hand_stiffness(np.array(servo.kp.value), configuration)
 
 
 def fingerprint(calibration: Calibration) -> str:

@@ -66,7 +66,7 @@ class Known:
 
     def stiffness(self, workspace: Workspace) -> Array | None:
         """Of the hand relative to training's; None if the servos were not calibrated."""
-        return known_stiffness(self.calibration, workspace)
+        return known_stiffness(self.calibration, np.array(workspace.start_configuration))
 
     def zero(self, joints: tuple[SensedJoint, ...], errors: Array | None) -> Array | None:
         """What to take off the readings of the scene's joints in an episode.
