@@ -91,7 +91,9 @@ def task_options(task: str, wanted: PolicyLayout | None, given: tuple[str, ...])
                 raise ValueError("the form is NAME=VALUE")
             if name in _OWN_FLAGS:
                 raise ValueError(f"use --{name.replace('_', '-')}")
-            options[name] = json.loads(text)
+            # The name of a target needs no quotes.
+            named = name == "target" and text in tasks.find(task).targets
+            options[name] = text if named else json.loads(text)
         except ValueError as error:
             raise ConfigurationError(f"task option {pair!r}: {error}") from error
     return options

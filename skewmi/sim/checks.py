@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skewmi.errors import ConfigurationError
+from skewmi.errors import ConfigurationError, NotFoundError
 from skewmi.policy_io import Array
+
+_T = TypeVar("_T")
 
 
 def checked_num_envs(num_envs: int) -> int:
@@ -54,3 +59,22 @@ def checked_action(action: ArrayLike, num_envs: int, action_dim: int) -> Array:
             f"action[{row}, {column}] is {values[row, column]}; actions must be finite, in -1..1"
         )
     return values
+
+
+def chosen_target(task: str, targets: Mapping[str, _T], name: str) -> _T:
+    """One of a task's targets.
+
+    Args:
+        task: Name of the task.
+        targets: What it has, by name.
+        name: Which.
+
+    Raises:
+        NotFoundError: There is no such target; the message lists those that exist.
+    """
+    if not isinstance(name, str) or name not in targets:
+        there_are = (
+            f"targets are {', '.join(targets)}" if targets else "it has one alone: leave it out"
+        )
+        raise NotFoundError(f"task {task!r} has no target {name!r}; {there_are}")
+    return targets[name]

@@ -57,12 +57,14 @@ class TaskSpec:
 
     Attributes:
         name: What users call it, the layout's `task`: small letters, digits and underscores.
-        layout: Makes the layout from `layout_switches` as keywords; without any, the default one.
-            Reward and success are its reward region and how long that has to be held.
+        layout: Makes the layout from `layout_switches` and `target` as keywords; without any, the
+            default one. Reward and success are its reward region and how long that has to be held.
         batch: Makes `BatchEnv`s: `batch(num_envs, num_threads=, seed=, **options)`, where
-            `layout_switches` are among the options.
+            `layout_switches` and `target` are among the options.
         camera: Makes what draws copies of one of these, from it, width and height in pixels.
         layout_switches: Options, off by default, that change the layout.
+        targets: What the option `target` may be, each a reward region of its own, the default one
+            first; empty: there is no such option.
         metrics: What is worth measuring while it is learned.
         planes: Pairs of state fields worth a map of the visited states.
         captions: What a film tells of an observation.
@@ -78,6 +80,7 @@ class TaskSpec:
     batch: Callable[..., BatchEnv]
     camera: Callable[[Any, int, int], Camera]
     layout_switches: tuple[str, ...] = ()
+    targets: tuple[str, ...] = ()
     metrics: TaskMetrics = field(default_factory=TaskMetrics)
     planes: tuple[tuple[str, str], ...] = ()
     captions: tuple[Caption, ...] = ()
@@ -90,8 +93,13 @@ class TaskSpec:
         """Observation field of each joint that a robot's scene states tell; empty without one."""
         return {} if self.arm is None else self.arm.scene_fields
 
-    def layouts(self) -> Iterator[tuple[dict[str, bool], PolicyLayout]]:
+    def layouts(self) -> Iterator[tuple[dict[str, bool | str], PolicyLayout]]:
         """Every layout that the task has, with the options that give it, the default one first."""
-        for values in itertools.product((False, True), repeat=len(self.layout_switches)):
-            options = dict(zip(self.layout_switches, values, strict=True))
-            yield {name: True for name, on in options.items() if on}, self.layout(**options)
+        # The first target is that of a layout without one.
+        for target in (None, *self.targets[1:]):
+            for values in itertools.product((False, True), repeat=len(self.layout_switches)):
+                switches = zip(self.layout_switches, values, strict=True)
+                options: dict[str, bool | str] = {name: True for name, on in switches if on}
+                if target is not None:
+                    options["target"] = target
+                yield options, self.layout(**options)

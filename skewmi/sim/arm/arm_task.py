@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
@@ -15,6 +15,7 @@ from skewmi.robot_models import frames
 from skewmi.robot_models.servo import CONTACT_SERVO, ServoParameters
 from skewmi.sim.arm import definition
 from skewmi.sim.arm.variation_keys import ARM_KEYS
+from skewmi.sim.checks import chosen_target
 from skewmi.sim.variation import Variations
 
 Vector = tuple[float, float, float]
@@ -62,6 +63,7 @@ class ArmTask:
             world's; see `skewmi.sim.arm.table`.
         success: The state's region that is rewarded, in fields of `joints` above all; that the
             hand is in its box is added.
+        targets: Regions by name that may be chosen in its place; one of them is `success`.
         gripper_opening: Finger travel while the policy does not move the fingers, m.
         success_hold_steps: So many steps in a row must end in the region.
         episode_steps: Control steps of an episode.
@@ -85,6 +87,7 @@ class ArmTask:
     servo: ServoParameters = CONTACT_SERVO
     possible: Callable[[Mapping[str, Array]], NDArray[np.bool_]] | None = None
     variations: Variations = ARM_VARIATIONS
+    targets: Mapping[str, tuple[Ball, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         known = {key.name for key in self.variations.keys}
@@ -95,6 +98,8 @@ class ArmTask:
                     f"task {self.name!r}: joint {joint.name!r} names keys that its variations do "
                     f"not have: {sorted(unknown)}"
                 )
+        if self.targets and self.success not in self.targets.values():
+            raise ConfigurationError(f"task {self.name!r}: its success is none of its targets")
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -102,18 +107,33 @@ class ArmTask:
         return tuple(joint.name for joint in self.joints)
 
     @property
+    def target_names(self) -> tuple[str, ...]:
+        """Names of the targets, that of `success` first; none if there is nothing to choose."""
+        names = sorted(self.targets, key=lambda name: self.targets[name] != self.success)
+        return tuple(names)
+
+    @property
     def scene_fields(self) -> dict[str, str]:
         """Observation field of each joint of the scene."""
         return {joint.name: joint.field.name for joint in self.joints}
 
-    def layout(self, *, gripper_action: bool = False, time_input: bool = False) -> PolicyLayout:
+    def layout(
+        self, *, gripper_action: bool = False, time_input: bool = False, target: str | None = None
+    ) -> PolicyLayout:
         """What a policy sees and does.
 
         Args:
             gripper_action: Adds the speed of the fingers as fourth action (the published code has
                 it, the paper's text does not); without it the fingers keep their opening.
             time_input: Adds the time as last observation, as step index / episode steps.
+            target: Name of the region that is rewarded; without it, it is `success`.
+
+        Raises:
+            NotFoundError: There is no such target; the message lists those that exist.
         """
+        success = self.success
+        if target is not None:
+            success = chosen_target(self.name, self.targets, target)
         x, y, z = frames.BASE_IN_WORLD.tolist()
         qw, qx, qy, qz = frames.HAND_DOWN_QUATERNION_WXYZ.tolist()
         workspace = Workspace(
@@ -147,7 +167,7 @@ class ArmTask:
             task=self.name,
             observation=tuple(observation),
             action=tuple(action),
-            reward_region=(*in_box, *self.success),
+            reward_region=(*in_box, *success),
             control_dt=definition.CONTROL_DT,
             episode_steps=self.episode_steps,
             success_hold_steps=self.success_hold_steps,

@@ -52,6 +52,7 @@ class ArmBatch:
         seed: int = 0,
         gripper_action: bool = False,
         time_input: bool = False,
+        target: str | None = None,
         randomization: Randomization | None = None,
         variation: ModelVariation | str | Path | None = None,
         calibration: Calibration | str | Path | None = None,
@@ -65,6 +66,8 @@ class ArmBatch:
             seed: Of the start positions and of the variation's values.
             gripper_action: Whether the fingers' speed is a fourth action.
             time_input: Whether the observation ends with step index / episode steps.
+            target: Name of the region that is rewarded, of those that the task has; without it,
+                the task's own.
             randomization: What differs between episodes; the default varies the hand's start.
             variation: How robot and scene differ from the nominal ones: a variation, its file, or
                 the name of a bundled one. Its values are drawn at each reset from a stream of
@@ -77,10 +80,12 @@ class ArmBatch:
         Raises:
             ConfigurationError: A number is out of its range, or the variation or the calibration
                 is not valid.
-            NotFoundError: There is no such variation or calibration file.
+            NotFoundError: There is no such target, variation or calibration file.
         """
         self.task = task
-        self.layout = task.layout(gripper_action=gripper_action, time_input=time_input)
+        self.layout = task.layout(
+            gripper_action=gripper_action, time_input=time_input, target=target
+        )
         self.num_envs = checked_num_envs(num_envs)
         self.variation = task.variations.resolve(variation)
         self.scene = ArmScene(task)

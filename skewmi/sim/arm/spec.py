@@ -24,6 +24,7 @@ def arm_task_spec(arm: ArmTask, **details: Any) -> TaskSpec:
         batch=partial(ArmBatch, arm),
         camera=ArmCamera,
         layout_switches=LAYOUT_SWITCHES,
+        targets=arm.target_names,
         variations=arm.variations,
         arm=arm,
         **details,

@@ -130,12 +130,13 @@ def test_an_unknown_task_is_refused_with_those_that_exist() -> None:
 
 def test_every_layout_is_another_one_and_the_first_the_default(spec: TaskSpec) -> None:
     layouts = list(spec.layouts())
-    assert len({layout.hash() for _, layout in layouts}) == 2 ** len(spec.layout_switches)
+    assert len(layouts) == 2 ** len(spec.layout_switches) * max(len(spec.targets), 1)
+    assert len({layout.hash() for _, layout in layouts}) == len(layouts)
     assert layouts[0] == ({}, spec.layout())
     for options, layout in layouts:
         assert layout.task == spec.name
         assert tasks.layout(spec.name, **options) == layout
-        assert set(options) <= set(spec.layout_switches)
+        assert set(options) <= {*spec.layout_switches, "target"}
 
 
 def test_everything_that_names_a_field_names_one_of_the_state(spec: TaskSpec) -> None:

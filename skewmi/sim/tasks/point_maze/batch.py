@@ -33,6 +33,7 @@ class PointMazeBatch:
         num_threads: int = 0,
         seed: int = 0,
         time_input: bool = False,
+        target: str | None = None,
         start_noise: float = 0.0,
     ) -> None:
         """Make the environment; call `reset` before `step`.
@@ -42,10 +43,12 @@ class PointMazeBatch:
             num_threads: Accepted for all tasks alike; the maze needs one thread.
             seed: Of the start positions.
             time_input: Whether the observation ends with step index / episode_steps.
+            target: Name of what is rewarded, see `maze.layout`.
             start_noise: Half-width of the uniform start position per axis, m, below 1.
 
         Raises:
             ConfigurationError: A number is out of its range.
+            NotFoundError: There is no such target.
         """
         self.num_envs = checked_num_envs(num_envs)
         checked_num_threads(num_threads)
@@ -54,7 +57,7 @@ class PointMazeBatch:
                 f"start_noise is {start_noise} m; it must be in 0..{0.5 * maze.CELL_SIZE} m "
                 "(1 m is half the start cell)"
             )
-        self.layout = maze.layout(time_input=time_input)
+        self.layout = maze.layout(time_input=time_input, target=target)
         self._start_noise = start_noise
         self._generator = np.random.default_rng(seed)
         self._position = np.zeros((self.num_envs, 2))
@@ -98,7 +101,7 @@ class PointMazeBatch:
         )
 
     def compute_reward(self, state: Array) -> Array:
-        """1.0 within 0.15 m of the target, else 0.0. Shape (..., >= 2) -> (...)."""
+        """1.0 within 0.15 m of its target, else 0.0. Shape (..., >= 2) -> (...)."""
         return inside_region(self.layout, state).astype(np.float64)
 
     def reachable(self, state: Array) -> NDArray[np.bool_]:

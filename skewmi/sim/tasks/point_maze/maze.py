@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skewmi.policy_io import TIME_FIELD, ActionField, Array, Ball, Field, PolicyLayout
+from skewmi.sim.checks import chosen_target
+from skewmi.sim.tasks.point_maze import targets
 
 CELL_SIZE = 2.0
 """Side of a cell, m."""
@@ -41,14 +43,14 @@ CONTROL_DT = 0.1
 
 EPISODE_STEPS = 200
 
-TARGET = (-4.0, 0.0)
-"""Centre of the reward region, m: the middle of the middle corridor."""
+TARGET = targets.TARGETS[targets.DEFAULT]
+"""Centre of the reward region while no other target is chosen, m."""
 
-TARGET_RADIUS = 0.15
+TARGET_RADIUS = targets.RADIUS
 """Radius of the reward region, m."""
 
 
-def layout(*, time_input: bool = False) -> PolicyLayout:
+def layout(*, time_input: bool = False, target: str | None = None) -> PolicyLayout:
     """What a policy sees (x, y, on request the episode time) and does (a step in x and y).
 
     The nominal range of x and y is the rectangle over which the authors take entropy and
@@ -56,7 +58,12 @@ def layout(*, time_input: bool = False) -> PolicyLayout:
 
     Args:
         time_input: Whether the observation ends with step index / episode_steps.
+        target: Name of what is rewarded, one of `targets.TARGETS`; without it, `TARGET`.
+
+    Raises:
+        NotFoundError: There is no such target; the message lists those that exist.
     """
+    centre = TARGET if target is None else chosen_target("point_maze", targets.TARGETS, target)
     position = (
         Field("x", "m", "world", -12.0, 4.0),
         Field("y", "m", "world", -6.0, 6.0),
@@ -69,7 +76,7 @@ def layout(*, time_input: bool = False) -> PolicyLayout:
             ActionField("step_x", "m/step", "world", STEP_SIZE),
             ActionField("step_y", "m/step", "world", STEP_SIZE),
         ),
-        reward_region=(Ball(("x", "y"), TARGET, TARGET_RADIUS),),
+        reward_region=(Ball(("x", "y"), centre, TARGET_RADIUS),),
         control_dt=CONTROL_DT,
         episode_steps=EPISODE_STEPS,
         success_hold_steps=1,

@@ -25,7 +25,7 @@ _VIEW_HALF_WIDTH = 7.3
 _MAX_TRAIL = 5000
 
 
-def build_scene() -> mujoco.MjSpec:
+def build_scene(target: tuple[float, ...] = maze.TARGET) -> mujoco.MjSpec:
     """Walls, floor, target and a point on two slide joints `x` and `y`, in the maze's world.
 
     Wall geoms are named `wall_<k>` in the order of `maze.wall_rectangles`; the colliding geom of
@@ -59,7 +59,7 @@ def build_scene() -> mujoco.MjSpec:
     world.add_geom(
         name="target",
         type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-        pos=[*maze.TARGET, 0.01],
+        pos=[*target, 0.01],
         size=[maze.TARGET_RADIUS, 0.01, 0.0],
         rgba=[0.15, 0.65, 0.3, 1.0],
         contype=0,
@@ -96,14 +96,17 @@ def _add_point(world: mujoco.MjsBody) -> None:
 class MazePicture:
     """Draws the maze from above, with a point and where it has been."""
 
-    def __init__(self, width: int = 480, height: int = 480) -> None:
+    def __init__(
+        self, width: int = 480, height: int = 480, target: tuple[float, ...] = maze.TARGET
+    ) -> None:
         """Compile the model; the first `render` opens OpenGL.
 
         Args:
             width: Of the images, pixels.
             height: Of the images, pixels; it spans 14.6 m.
+            target: That is drawn, x, y in m.
         """
-        self._model = build_scene().compile()
+        self._model = build_scene(target).compile()
         self._data = mujoco.MjData(self._model)
         self._size = (width, height)
         self._renderer: mujoco.Renderer | None = None
@@ -169,7 +172,7 @@ class MazeCamera:
 
     def __init__(self, env: PointMazeBatch, width: int, height: int) -> None:
         self._env = env
-        self._picture = MazePicture(width, height)
+        self._picture = MazePicture(width, height, env.layout.reward_region[0].centre)
 
     def render(self, index: int) -> Image:
         """See `Camera.render`."""

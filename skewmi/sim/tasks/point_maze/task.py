@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from skewmi.batch_env import Condition, Event, GridAxis, TaskMetrics
 from skewmi.sim.task_spec import Caption, TaskSpec
-from skewmi.sim.tasks.point_maze import maze
+from skewmi.sim.tasks.point_maze import maze, targets
 from skewmi.sim.tasks.point_maze.batch import PointMazeBatch
 from skewmi.sim.tasks.point_maze.scene import MazeCamera
 
@@ -14,6 +14,7 @@ SPEC = TaskSpec(
     batch=PointMazeBatch,
     camera=MazeCamera,
     layout_switches=("time_input",),
+    targets=(targets.DEFAULT, *(name for name in targets.TARGETS if name != targets.DEFAULT)),
     metrics=TaskMetrics(
         grid=(GridAxis("x", -12.0, 4.0, 50), GridAxis("y", -6.0, 6.0, 50)),
         events=(
