@@ -4,58 +4,30 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scripted_episodes import NUM_ENVS, ScriptedEpisodes
 from scripted_open_press_close import ScriptedOpenPressClose
 
-from skewmi.sim.arm.batch import ArmBatch
 from skewmi.sim.tasks.open_press_close.definition import ARM
-from skewmi.success import first_success_step
-
-NUM_ENVS = 6
 
 
-class Run:
-    """One episode of the script in every environment, and what it did to the scene."""
-
-    def __init__(self, seed: int, *, delay_steps: int = 0, noise: float = 0.0, **options) -> None:
-        env = ArmBatch(ARM, NUM_ENVS, num_threads=1, seed=seed, **options)
-        scripts = [ScriptedOpenPressClose(env.layout) for _ in range(NUM_ENVS)]
-        rng = np.random.default_rng(seed)
-        observation = env.reset()
-        self.starts = observation[:, :3]
-        pending = [np.zeros((NUM_ENVS, env.layout.action_dim))] * delay_steps
-        inside, self.states, self.diagnostics = [], [], []
-        truncated = False
-        while not truncated:
-            seen = observation.copy()
-            seen[:, :3] += noise * rng.standard_normal((NUM_ENVS, 3))
-            pending.append(
-                np.array([script.act(x) for script, x in zip(scripts, seen, strict=True)])
-            )
-            result = env.step(pending.pop(0))
-            observation, truncated = result.observation, result.truncated
-            inside.append(result.success)
-            self.states.append(observation)
-            self.diagnostics.append(env.diagnostics())
-        self.states = np.array(self.states)
-        self.layout = env.layout
-        self.success_step = first_success_step(env.layout, np.array(inside))
-
-    def figure(self, name: str) -> np.ndarray:
-        return np.array([getattr(d, name) for d in self.diagnostics])
+def run(seed: int, **options) -> ScriptedEpisodes:
+    return ScriptedEpisodes(ARM, ScriptedOpenPressClose, seed, **options)
 
 
 @pytest.fixture(scope="module", params=[0, 1])
-def nominal(request: pytest.FixtureRequest) -> Run:
-    return Run(request.param)
+def nominal(request: pytest.FixtureRequest) -> ScriptedEpisodes:
+    return run(request.param)
 
 
-def test_every_start_succeeds_with_time_to_spare(nominal: Run) -> None:
+def test_every_start_succeeds_with_time_to_spare(nominal: ScriptedEpisodes) -> None:
     assert len(np.unique(nominal.starts, axis=0)) == NUM_ENVS
     assert np.all(nominal.success_step > 0), nominal.success_step
     assert nominal.success_step.max() <= 140
 
 
-def test_the_lid_is_opened_before_the_button_is_pressed_and_shut_afterwards(nominal: Run) -> None:
+def test_the_lid_is_opened_before_the_button_is_pressed_and_shut_afterwards(
+    nominal: ScriptedEpisodes,
+) -> None:
     lid, button = nominal.states[..., 4], nominal.states[..., 5]
     for i in range(NUM_ENVS):
         first_pressed = int(np.argmax(button[:, i] > 0.010))
@@ -65,7 +37,7 @@ def test_the_lid_is_opened_before_the_button_is_pressed_and_shut_afterwards(nomi
         assert button[-1, i] > 0.010
 
 
-def test_forces_are_those_of_a_collaborative_robot(nominal: Run) -> None:
+def test_forces_are_those_of_a_collaborative_robot(nominal: ScriptedEpisodes) -> None:
     assert nominal.figure("hand_force_peak").max() <= 100.0
     assert nominal.figure("hand_force_mean").max() <= 40.0
     assert nominal.figure("arm_force_peak").max() == 0.0
@@ -73,7 +45,7 @@ def test_forces_are_those_of_a_collaborative_robot(nominal: Run) -> None:
     assert nominal.figure("hand_force_peak").max() > 2.0
 
 
-def test_the_hand_stays_upright_in_its_box_and_near_its_command(nominal: Run) -> None:
+def test_the_hand_stays_upright_in_its_box_and_near_its_command(nominal: ScriptedEpisodes) -> None:
     assert np.degrees(nominal.figure("hand_tilt").max()) <= 2.0
     scale = nominal.layout.action_scale[:3]
     assert nominal.figure("hand_to_command").max() <= np.linalg.norm(scale) + 1e-3
@@ -82,14 +54,14 @@ def test_the_hand_stays_upright_in_its_box_and_near_its_command(nominal: Run) ->
     assert np.all(hand <= np.array(nominal.layout.workspace.high) + 0.003)
 
 
-def test_nothing_jumps_so_nothing_was_edited(nominal: Run) -> None:
+def test_nothing_jumps_so_nothing_was_edited(nominal: ScriptedEpisodes) -> None:
     steps = np.abs(np.diff(nominal.states, axis=0)).max(axis=(0, 1))
     assert np.all(steps[:3] < 0.025)
     assert steps[4] < 0.35
     assert steps[5] < 0.015
 
 
-def test_the_button_never_comes_back_up(nominal: Run) -> None:
+def test_the_button_never_comes_back_up(nominal: ScriptedEpisodes) -> None:
     assert np.diff(nominal.states[..., 5], axis=0).min() > -1e-4
 
 
@@ -103,6 +75,6 @@ def test_the_button_never_comes_back_up(nominal: Run) -> None:
     ids=["late by 100 ms", "hand measured with 0.5 mm noise", "other layout"],
 )
 def test_the_script_survives_what_a_real_chain_adds(options: dict) -> None:
-    run = Run(7, **options)
-    assert np.all(run.success_step > 0), run.success_step
-    assert run.figure("hand_force_peak").max() <= 100.0
+    late = run(7, **options)
+    assert np.all(late.success_step > 0), late.success_step
+    assert late.figure("hand_force_peak").max() <= 100.0
