@@ -17,6 +17,7 @@ STEPS = 15
 
 RANDOMISED: dict[str, dict[str, object]] = {
     "open_press_close": {},
+    "door_open": {},
     "point_maze": {"start_noise": 0.2},
 }
 """Options with which resets differ; a task that is not here is not tested, which fails below."""
@@ -261,7 +262,7 @@ def test_unknown_options_are_refused_with_those_that_exist(task: str) -> None:
 
 
 def test_an_unknown_task_is_refused_with_those_that_exist() -> None:
-    with pytest.raises(NotFoundError, match=r"door_oven.*open_press_close, point_maze"):
+    with pytest.raises(NotFoundError, match=r"door_oven.*open_press_close, door_open, point_maze"):
         tasks.make_batch("door_oven", 1)
     with pytest.raises(NotFoundError, match="door_oven"):
         tasks.layout("door_oven")

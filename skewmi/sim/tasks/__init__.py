@@ -9,4 +9,5 @@ from skewmi.sim.tasks.registry import default, find, layout, make_batch, names, 
 __all__ = ["default", "find", "layout", "make_batch", "names", "register", "with_arm"]
 
 register("open_press_close", "skewmi.sim.tasks.open_press_close.task:SPEC")
+register("door_open", "skewmi.sim.tasks.door_open.task:SPEC")
 register("point_maze", "skewmi.sim.tasks.point_maze.task:SPEC")

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 
 from skewmi.errors import ConfigurationError, NotFoundError
 from skewmi.train.config import TrainConfig
-from skewmi.train.presets import open_press_close, point_maze
+from skewmi.train.presets import door_open, open_press_close, point_maze
 from skewmi.train.registry import EXPLORATIONS, LEARNERS, default_config
 
 DEFAULT = "improved"
@@ -23,6 +23,7 @@ PRESETS: dict[tuple[str, str], TrainConfig] = {
     for config in (
         *point_maze.PRESETS,
         *open_press_close.PRESETS,
+        *door_open.PRESETS,
     )
 }
 """By task and name."""

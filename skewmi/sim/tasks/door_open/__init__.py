@@ -1,0 +1,1 @@
+"""DoorOpen: lift a flap by its handle to a given angle."""
