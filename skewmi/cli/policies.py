@@ -91,8 +91,8 @@ def task_options(task: str, wanted: PolicyLayout | None, given: tuple[str, ...])
                 raise ValueError("the form is NAME=VALUE")
             if name in _OWN_FLAGS:
                 raise ValueError(f"use --{name.replace('_', '-')}")
-            # The name of a target needs no quotes.
-            named = name == "target" and text in tasks.find(task).targets
+            # The name of a target needs no quotes; the task itself refuses one that is none.
+            named = name == "target" and not text.startswith('"')
             options[name] = text if named else json.loads(text)
         except ValueError as error:
             raise ConfigurationError(f"task option {pair!r}: {error}") from error

@@ -1,4 +1,4 @@
-"""The door through the whole chain: policy, planner, guard, link, simulated robot, its own scene."""
+"""The door through the whole chain: policy, planner, guard, link, simulated robot, scene."""
 
 from __future__ import annotations
 

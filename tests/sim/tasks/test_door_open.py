@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from skewmi.robot_models import frames, kinematics
+from skewmi.sim import tasks
 from skewmi.sim.arm.batch import ArmBatch
 from skewmi.sim.arm.model_fields import model_fields
 from skewmi.sim.arm.reach import TIP, reachable
@@ -14,6 +15,8 @@ from skewmi.sim.arm.scene import ArmScene, workspace_of
 from skewmi.sim.tasks.door_open import definition, parts, targets
 from skewmi.sim.tasks.door_open.definition import ARM
 from skewmi.success import inside_region
+from skewmi.train.config import MetricsConfig
+from skewmi.train.metrics import CoverageMetrics
 
 LAYOUT = definition.make_layout()
 WORKSPACE = workspace_of(LAYOUT)
@@ -184,3 +187,22 @@ def test_variations_of_the_door_do_what_they_say(scene) -> None:
     np.testing.assert_allclose(
         fields.values["body_quat"][0, frame], (np.cos(half), 0, 0, np.sin(half))
     )
+
+
+def test_it_is_measured_on_the_published_grid() -> None:
+    metrics = tasks.find(ARM.name).metrics
+    assert [axis.points for axis in metrics.grid] == [10, 10, 10, 2, 10]
+    assert [axis.field for axis in metrics.grid] == [f.name for f in LAYOUT.state_fields]
+    assert metrics.unit_range
+    measured = CoverageMetrics(LAYOUT, metrics, MetricsConfig())
+    assert len(measured.points) == 20_000
+    env = ArmBatch(ARM, 2, num_threads=1)
+    first = env.reset(0)
+    measured.set_reachable(env, first[0])
+    assert 0.5 < measured.reachable.mean() < 0.9
+    # Fingers that no action moves are in a cell of the grid, and as good as on one of its points.
+    measured.add(first)
+    assert 1 <= measured.visited.sum() <= 2
+    fingers = measured.project(first)[:, 3]
+    assert np.abs(fingers - 1.0).max() < 0.5 * measured.config.coverage_width
+    assert measured.coverage()["coverage"] > 0.0
