@@ -43,6 +43,7 @@ def test_scripted_motion_opens_the_door_within_all_limits(
     assert report.success_rate == 1.0, report.as_dict()
     assert report.missed_cycles == 0
     assert report.stops == []
+    assert report.as_dict()["speed"] == 1.0, "the arm's posture does not let the hand keep up"
     worst = assert_limits_kept(path)
     assert worst["velocity"] > 0.1, "the arm hardly moved: the check above shows nothing"
 
