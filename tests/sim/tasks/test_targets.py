@@ -16,6 +16,8 @@ from skewmi.sim.tasks.door_open import targets as angles
 from skewmi.sim.tasks.door_open.definition import ARM
 from skewmi.sim.tasks.point_maze import maze
 from skewmi.sim.tasks.point_maze import targets as points
+from skewmi.sim.tasks.point_maze.batch import PointMazeBatch
+from skewmi.sim.tasks.point_maze.scene import MazeCamera
 
 SCRIPT = Path(__file__).resolve().parents[3] / "docs" / "make_targets_picture.py"
 WITH_TARGETS = [name for name in tasks.names() if tasks.find(name).targets]
@@ -63,6 +65,47 @@ def test_ways_lead_around_walls(script: ModuleType) -> None:
     point = np.array([(0.5, 1.0), (-4.0, 0.0), (-8.0, 0.0), (-2.0, 4.0)])
     ways = (np.hypot(0.5, 1.0), 2 * diagonal + 2.0, 2 * diagonal + 6.0, diagonal + np.sqrt(2.0))
     np.testing.assert_allclose(script.way_lengths(point), ways, rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", points.TARGETS)
+def test_every_target_of_the_maze_can_be_walked_to_and_kept(name: str) -> None:
+    env = PointMazeBatch(1, target=name)
+    position = env.reset()[0]
+    target = np.array(points.TARGETS[name])
+    row = 4.0 if target[1] > 0.0 else -4.0
+    around = [np.array([0.0, row]), np.array([target[0], row])] if target[0] < -1.0 else []
+    route = [*around, target]
+    rewards = []
+    for _ in range(env.layout.episode_steps):
+        if len(route) > 1 and np.abs(position - route[0]).max() < 0.05:
+            route.pop(0)
+        result = env.step(np.clip((route[0] - position) / maze.STEP_SIZE, -1.0, 1.0)[None])
+        position = result.observation[0]
+        rewards.append(float(result.reward[0]))
+    first = rewards.index(1.0)
+    assert first < 150
+    assert all(rewards[first:])
+
+
+def test_pictures_of_the_maze_show_the_target_that_was_chosen() -> None:
+    def is_green(target: str | None) -> dict[str, bool]:
+        camera = MazeCamera(PointMazeBatch(1, target=target), 365, 365)
+        try:
+            image = camera.render(0).astype(int)
+        except ConfigurationError as error:
+            pytest.skip(str(error))
+        finally:
+            camera.close()
+        # 25 pixels a metre, the middle of the maze in the middle.
+        places = {
+            n: (round(182 - 25 * y), round(182 + 25 * (x + 4.0)))
+            for n, (x, y) in points.TARGETS.items()
+        }
+        return {n: bool(image[p][1] > image[p][[0, 2]].max() + 40) for n, p in places.items()}
+
+    for target in (None, "t2", "t5"):
+        shown = is_green(target)
+        assert [n for n, green in shown.items() if green] == [target or points.DEFAULT]
 
 
 @pytest.mark.parametrize("task", WITH_TARGETS)
