@@ -7,7 +7,8 @@ import pytest
 from scripted_door_open import ScriptedDoorOpen
 from scripted_episodes import NUM_ENVS, ScriptedEpisodes
 
-from skewmi.sim.tasks.door_open import targets
+from skewmi.sim.arm.batch import ArmBatch
+from skewmi.sim.tasks.door_open import parts, targets
 from skewmi.sim.tasks.door_open.definition import ARM
 
 PAYLOAD = 25.0
@@ -74,3 +75,23 @@ def test_the_script_survives_what_a_real_chain_adds(options: dict) -> None:
     late = run(7, **options)
     assert np.all(late.success_step > 0), late.success_step
     assert late.figure("hand_force_peak").max() <= 100.0
+
+
+def test_pulling_on_at_the_open_stop_settles_at_a_bounded_force() -> None:
+    env = ArmBatch(ARM, 1, num_threads=1)
+    script = ScriptedDoorOpen(env.layout)
+    observation = env.reset(0)
+    for _ in range(45):
+        observation = env.step(script.act(observation[0])[None]).observation
+    forces = []
+    for _ in range(40):
+        # Along the arc, which at the stop leads nearly straight to -y, and then up.
+        up = float(observation[0, 4] > 1.5)
+        observation = env.step(np.array([[0.0, -1.0, up]])).observation
+        forces.append(env.diagnostics().hand_force_mean[0])
+    assert observation[0, 4] == pytest.approx(parts.DOOR_MAX, abs=0.01)
+    assert forces[-1] > 5.0, "nothing pulls"
+    # What the held following error of a blocked hand comes to in the arm's stiffest direction, in
+    # the mean of a second: it goes up and down by 6 N from step to step.
+    assert np.mean(forces[-10:]) < 42.0
+    assert max(forces[-10:]) < 55.0
