@@ -5,25 +5,29 @@ from __future__ import annotations
 import math
 
 from skewmi.batch_env import Condition, Event, GridAxis, TaskMetrics
+from skewmi.sim.arm.definition import BOX_TOLERANCE
 from skewmi.sim.arm.spec import arm_task_spec
 from skewmi.sim.task_spec import Caption
 from skewmi.sim.tasks.door_open.definition import ARM, DOOR, GRIPPER_OPENING
 
 _DOOR = DOOR.field.name
+_FINGERS_GIVE, _DOOR_GIVES = 0.001, 0.01
+"""How far the grid goes beyond where fingers and door are by rights, m and rad: soft stops give
+way, and what rests a hair beyond an end would be in no cell."""
 
 SPEC = arm_task_spec(
     ARM,
     metrics=TaskMetrics(
         # The published grid: 10 x 10 x 10 x 2 x 10 points, each axis scaled to [0, 1]. The upper
-        # end of the fingers' is just above where they stay while no action moves them; without
-        # such an action half of the points can never be covered.
+        # end of the fingers' is where they stay while no action moves them; without such an action
+        # half of the points can never be covered.
         grid=(
             *(
-                GridAxis(f"hand_{axis}", low, high, 10)
+                GridAxis(f"hand_{axis}", low - BOX_TOLERANCE, high + BOX_TOLERANCE, 10)
                 for axis, low, high in zip("xyz", ARM.low, ARM.high, strict=True)
             ),
-            GridAxis("gripper", 0.0, GRIPPER_OPENING + 0.001, 2),
-            GridAxis(_DOOR, DOOR.field.low, DOOR.field.high, 10),
+            GridAxis("gripper", -_FINGERS_GIVE, GRIPPER_OPENING + _FINGERS_GIVE, 2),
+            GridAxis(_DOOR, DOOR.field.low - _DOOR_GIVES, DOOR.field.high + _DOOR_GIVES, 10),
         ),
         unit_range=True,
         events=(
