@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from skewmi.batch_env import BatchEnv
 from skewmi.train.checkpoint import read_checkpoint
+from skewmi.train.config import TrainConfig
 from skewmi.train.log import read_metrics
-from skewmi.train.run import TIME_COLUMNS
+from skewmi.train.run import TIME_COLUMNS, run_train
 from skewmi.train.state import split
 
 
@@ -42,3 +46,17 @@ def assert_same_checkpoint(one: Path, other: Path, capacity: float = math.inf) -
         ours = np.load(a.path / "replay" / name)
         first = int(max(0, a.state["episodes"] - capacity - int(name.split("-")[1])))
         np.testing.assert_array_equal(ours[first:], np.load(b.path / "replay" / name)[first:])
+
+
+def resumes_alike(
+    config: TrainConfig, make_env: Callable[[], BatchEnv], folder: Path, steps: int
+) -> Path:
+    """Run at once, and interrupted after so many environment steps; where the whole run is."""
+    whole, parts = folder / "whole", folder / "parts"
+    run_train(config, make_env(), whole, progress=False)
+    run_train(replace(config, total_steps=steps), make_env(), parts, progress=False)
+    run_train(config, make_env(), parts, resume=True, progress=False)
+    assert_same_table(whole, parts)
+    env = make_env()
+    assert_same_checkpoint(whole, parts, config.rollout.history_steps // env.layout.episode_steps)
+    return whole

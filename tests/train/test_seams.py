@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from tiny_methods import CountBonus, CountBonusConfig, Reinforce, ReinforceConfig
-from train_runs import assert_same_checkpoint, assert_same_table
+from train_runs import resumes_alike
 
 import skewmi.train.runner
 from skewmi.deploy.policy import OnnxPolicy
@@ -46,34 +45,27 @@ def on_policy(corridor_config: TrainConfig) -> TrainConfig:
 
 def test_only_registry_and_presets_name_a_method() -> None:
     package = Path(skewmi.train.runner.__file__).parent
-    methods = ("skewmi.train.sac", "skewmi.train.exploration.skew_explore")
+    explorations = ("skew_explore", "skew_fit", "rnd")
+    methods = (
+        "skewmi.train.sac",
+        "skewmi.train.ppo",
+        *(f"skewmi.train.exploration.{name}" for name in explorations),
+    )
     for path in package.rglob("*.py"):
         place = path.relative_to(package)
-        if place.parts[0] in ("sac", "presets") or path.name in ("registry.py", "skew_explore.py"):
+        own = place.parts[0] in ("sac", "ppo", "presets") or path.stem in explorations
+        if own or path.name == "registry.py":
             continue
         for node in ast.walk(ast.parse(path.read_text())):
             imported = node.module if isinstance(node, ast.ImportFrom) else None
             assert not (imported or "").startswith(methods), f"{place} imports {imported}"
 
 
-def resumes_alike(
-    config: TrainConfig, make_env: Callable[[], object], folder: Path, before: int
-) -> Path:
-    """Run at once and interrupted after `before` iterations; where the whole run is."""
-    whole, parts = folder / "whole", folder / "parts"
-    run_train(config, make_env(), whole, progress=False)
-    run_train(replace(config, total_steps=before * ITERATION), make_env(), parts, progress=False)
-    run_train(config, make_env(), parts, resume=True, progress=False)
-    assert_same_table(whole, parts)
-    assert_same_checkpoint(whole, parts, capacity=20)
-    return whole
-
-
 @pytest.mark.parametrize("before", [3, 5])  # with nothing pending, and with two iterations
 def test_recurrent_on_policy_learner_resumes_bit_identically(
     tmp_path, make_corridor, on_policy, before: int
 ) -> None:
-    whole = resumes_alike(on_policy, make_corridor, tmp_path, before)
+    whole = resumes_alike(on_policy, make_corridor, tmp_path, before * ITERATION)
     table = read_metrics(whole)
     assert table["updates"] == [0.0, 0.0, 1.0, 1.0, 1.0, 2.0, 2.0]
     learned = np.isfinite(table["ratio_error"])
@@ -157,7 +149,7 @@ def test_exploration_without_goals(tmp_path, make_corridor, corridor_config, lea
     if learner == "reinforce":
         rollout = replace(config.rollout, random_steps=0, noise_probability=0.0)
         config = replace(config, learner=ReinforceConfig(), rollout=rollout)
-    whole = resumes_alike(config, make_corridor, tmp_path, before=2)
+    whole = resumes_alike(config, make_corridor, tmp_path, 2 * ITERATION)
     table = read_metrics(whole)
     assert table["updates"][-1] > 0
     assert table["cells"][-1] > 1
