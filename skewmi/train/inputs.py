@@ -41,3 +41,20 @@ class InputNormalizer:
         """Inputs of shape (n, observation_dim + goal_dim), float32."""
         both = np.concatenate((observation, goal), axis=-1)
         return torch.as_tensor((both - self.center) / self.half, dtype=torch.float32)
+
+    def folded(self, goal: Array) -> tuple[Tensor, Tensor, Tensor]:
+        """The map with a fixed goal, as constants of an exported policy.
+
+        Divided in float64 here, so that they round once only.
+
+        Args:
+            goal: In the task's units. Shape (goal_dim,).
+
+        Returns:
+            Center and inverse half-width of the observation, shape (observation_dim,), and the
+            goal as the networks see it, shape (goal_dim,); float32.
+        """
+        n = self.observation_dim
+        parts = self.center[:n], 1.0 / self.half[:n], (goal - self.center[n:]) / self.half[n:]
+        center, inverse_half, scaled = (torch.as_tensor(x, dtype=torch.float32) for x in parts)
+        return center, inverse_half, scaled

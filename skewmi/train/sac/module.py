@@ -24,11 +24,10 @@ class SacPolicyModule(nn.Module):
         super().__init__()
         self.body = copy.deepcopy(actor.body).cpu()
         self.action_dim = actor.body[-1].out_features // 2  # type: ignore[operator]
-        # In float64 here, so that the folded constants round once only.
-        n = inputs.observation_dim
-        self.register_buffer("center", _single(inputs.center[:n]))
-        self.register_buffer("inverse_half", _single(1.0 / inputs.half[:n]))
-        self.register_buffer("goal", _single((goal - inputs.center[n:]) / inputs.half[n:]))
+        center, inverse_half, scaled_goal = inputs.folded(goal)
+        self.register_buffer("center", center)
+        self.register_buffer("inverse_half", inverse_half)
+        self.register_buffer("goal", scaled_goal)
 
     def forward(self, observation: Tensor) -> Tensor:
         scaled = (observation - self.center) * self.inverse_half  # type: ignore[operator]
@@ -36,7 +35,3 @@ class SacPolicyModule(nn.Module):
         whole = torch.cat((scaled, goal.expand(observation.shape[0], -1)), dim=-1)
         mean: Tensor = self.body(whole)[:, : self.action_dim]
         return torch.tanh(mean)
-
-
-def _single(values: Array) -> Tensor:
-    return torch.as_tensor(values, dtype=torch.float32)
