@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 from skewmi.policy_io import Array, PolicyLayout
 from skewmi.train.checks import require
 from skewmi.train.density import gaussian_log_density, trajectory_log_density
-from skewmi.train.exploration.goals import SkewedGoals, SkewedGoalsConfig
-from skewmi.train.replay import Episodes, Index, Replay
-from skewmi.train.state import State
+from skewmi.train.exploration.goal_exploration import GoalExploration
+from skewmi.train.exploration.goals import SkewedGoalsConfig
 
 
 @dataclass(frozen=True)
@@ -62,52 +61,21 @@ def clipped(log_density: Array, low: float | None) -> Array:
     return log_density if low is None else np.maximum(log_density, low)
 
 
-class SkewExplore:
+class SkewExplore(GoalExploration):
     """Satisfies `Exploration`.
 
     log p_tau does not depend on z: it is the trajectory term that is stored with the episodes,
     in the density units of that moment; later changes of units shift it by a constant.
     """
 
-    metrics: tuple[str, ...] = ()
-
     def __init__(
         self, config: SkewExploreConfig, layout: PolicyLayout, generator: np.random.Generator
     ) -> None:
+        super().__init__(config, layout, generator)
         self.config = config
-        self.skewed = SkewedGoals(config, layout, generator)
-        self.goal_dim = layout.state_dim
         self.extrinsic_weight = config.extrinsic
 
-    @property
-    def evaluation_goal(self) -> Array:
-        """Shape (state_dim,)."""
-        return self.skewed.evaluation_goal
-
-    @property
-    def proposals(self) -> Array:
-        """Shape (k, state_dim)."""
-        return self.skewed.proposals
-
-    @property
-    def proposal_episodes(self) -> Index:
-        """Shape (k,), or (0,) if goals are samples of a density."""
-        return self.skewed.proposal_episodes
-
-    def begin(self, episodes: int, evaluation: int, generator: np.random.Generator) -> None:
-        """Choose the goals of the next episodes."""
-        self.skewed.begin(episodes, evaluation, generator)
-
-    def goals(self, step: int, observations: Array) -> Array:
-        """Goals were chosen when the episodes began. Shape (episodes, state_dim)."""
-        return self.skewed.planned(step)
-
-    def observe(self, episodes: Episodes) -> Array:
-        """Clipped log p_tau of every reached state. Shape (episodes, steps)."""
-        self.skewed.observe(episodes)
-        return self.log_p_tau(episodes.observations[:, 1:, : self.goal_dim])
-
-    def log_p_tau(self, states: Array) -> Array:
+    def trajectory_term(self, states: Array) -> Array:
         """Clipped log p_tau of trajectories (episodes, steps, d) -> (episodes, steps)."""
         c = self.config
         scaled = self.skewed.scale(states, weighted=c.weights_in_reward)
@@ -133,18 +101,3 @@ class SkewExplore:
         """w_int (log p_z - log p_tau), see `Exploration`."""
         reward: Array = self.config.intrinsic * (self.log_p_z(states, goals) - trajectory_term)
         return reward
-
-    def refresh(
-        self, history: Replay, steps: int, generator: np.random.Generator
-    ) -> dict[str, float]:
-        """New density units and goals when due."""
-        self.skewed.refresh(history, steps, generator)
-        return {}
-
-    def state_dict(self) -> State:
-        """All that a continuation needs."""
-        return self.skewed.state_dict()
-
-    def load_state_dict(self, state: State) -> None:
-        """Inverse of `state_dict`."""
-        self.skewed.load_state_dict(state)
