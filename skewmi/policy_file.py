@@ -37,6 +37,9 @@ STATE_OUTPUTS = ("h_next", "c_next")
 FORMAT_KEY = "skewmi_policy"
 LAYOUT_KEY = "layout"
 LAYOUT_HASH_KEY = "layout_hash"
+MEMORY_KEY = "memory"
+"""Key of what a recurrent policy remembers, see `memory_document`; policies without a memory, and
+files of an earlier skewmi, do not have it."""
 SEAL_KEY = "content_sha256"
 REQUIRED_KEYS = (
     FORMAT_KEY,
@@ -47,6 +50,20 @@ REQUIRED_KEYS = (
     "robot_model_hash",
     "control_dt",
 )
+
+
+def memory_document(sizes: Mapping[str, int]) -> dict[str, Any]:
+    """What whoever runs a recurrent policy needs to know of its memory.
+
+    Args:
+        sizes: Of each of `STATE_INPUTS`.
+    """
+    return {
+        "sizes": dict(sizes),
+        "next": dict(zip(STATE_INPUTS, STATE_OUTPUTS, strict=True)),
+        "type": "float32, shape (batch, size)",
+        "initial": "zeros, at the start of every episode; then what the step before gave",
+    }
 
 
 def _protobuf_bytes(field: int, value: bytes) -> bytes:

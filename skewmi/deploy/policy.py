@@ -91,6 +91,7 @@ class OnnxPolicy:
                 f"{str(metadata[policy_file.LAYOUT_HASH_KEY])[:12]}; export the policy again"
             )
         _check_signature(session, layout, str(path))
+        _check_memory(session, metadata, str(path))
         policy = OnnxPolicy(session, layout, metadata, str(path))
         policy._probe()
         return policy
@@ -116,8 +117,9 @@ class OnnxPolicy:
             Shape (..., action_dim), float64.
 
         Raises:
-            LayoutMismatchError: The width is another, or a value is not finite. (A graph may
-                turn NaN into an innocent number, so the input is what has to be checked.)
+            LayoutMismatchError: The width or, since the last reset, the batch is another; or a
+                value is not finite. (A graph may turn NaN into an innocent number, so the input
+                is what has to be checked.)
         """
         given = np.asarray(observation, dtype=np.float32)
         dim = self.layout.observation_dim
@@ -133,9 +135,14 @@ class OnnxPolicy:
             raise LayoutMismatchError(f"observation is not finite in {', '.join(bad)}")
         feed = {policy_file.OBSERVATION: given.reshape(-1, dim)}
         if self._state_sizes:
+            batch = feed[policy_file.OBSERVATION].shape[0]
             if not self._state:
-                batch = feed[policy_file.OBSERVATION].shape[0]
                 self._state = [np.zeros((batch, n), np.float32) for n in self._state_sizes]
+            if len(self._state[0]) != batch:
+                raise LayoutMismatchError(
+                    f"{self.name} remembers {len(self._state[0])} episodes and got {batch} "
+                    "observations; reset it before others begin"
+                )
             feed |= zip(policy_file.STATE_INPUTS, self._state, strict=True)
         action, *self._state = self._run(self._outputs, feed)
         result: Array = action.reshape(*given.shape[:-1], action.shape[-1]).astype(np.float64)
@@ -209,3 +216,26 @@ def _check_signature(session: Any, layout: PolicyLayout, name: str) -> None:
             raise LayoutMismatchError(
                 f"{name}: {value.name} has {width} numbers, its layout {wanted[value.name]}"
             )
+
+
+def _check_memory(session: Any, metadata: Mapping[str, Any], name: str) -> None:
+    """Compare what the graph remembers with what it hands on, and with what the file says of it.
+
+    Raises:
+        LayoutMismatchError: They differ. Files of an earlier skewmi say nothing.
+    """
+    values = (*session.get_inputs(), *session.get_outputs())
+    width = {value.name: value.shape[1] for value in values}
+    for before, after in zip(policy_file.STATE_INPUTS, policy_file.STATE_OUTPUTS, strict=True):
+        if width.get(before) != width.get(after):
+            raise LayoutMismatchError(
+                f"{name}: the memory {before} has {width[before]} numbers, "
+                f"but what follows it, {after}, has {width[after]}"
+            )
+    sizes = {key: width[key] for key in policy_file.STATE_INPUTS if key in width}
+    described = metadata.get(policy_file.MEMORY_KEY)
+    if described is not None and described != policy_file.memory_document(sizes):
+        raise LayoutMismatchError(
+            f"{name}: its graph remembers {sizes or 'nothing'}, its metadata say {described}; "
+            "export the policy again"
+        )

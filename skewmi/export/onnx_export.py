@@ -86,6 +86,8 @@ def export_policy(
     observations = _episodes(observations, layout)
     count = observations.shape[0] * observations.shape[1]
     document = {**policy.metadata, **(metadata or {}), **_layout_metadata(layout)}
+    document.pop(policy_file.MEMORY_KEY, None)
+    document |= _memory_metadata(policy.module)
     missing = [key for key in policy_file.REQUIRED_KEYS if key not in document]
     if missing:
         raise PolicyFileError(f"a policy file needs the metadata {missing}; {path} is not written")
@@ -211,6 +213,15 @@ def _layout_metadata(layout: PolicyLayout) -> dict[str, Any]:
             "python": platform.python_version(),
         },
     }
+
+
+def _memory_metadata(module: torch.nn.Module) -> dict[str, Any]:
+    """What a recurrent policy remembers; empty for one without a memory."""
+    sizes = tuple(int(size) for size in getattr(module, "state_sizes", ()))
+    if not sizes:
+        return {}
+    named = dict(zip(policy_file.STATE_INPUTS, sizes, strict=True))
+    return {policy_file.MEMORY_KEY: policy_file.memory_document(named)}
 
 
 def write_atomically(path: Path, data: bytes) -> None:

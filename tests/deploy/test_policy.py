@@ -11,8 +11,9 @@ import numpy as np
 import onnx
 import pytest
 from onnx import helper, numpy_helper
-from policy_graphs import LAYOUT, WEIGHT, graph, metadata, recurrent_graph, write
+from policy_graphs import LAYOUT, SIZE, WEIGHT, graph, metadata, recurrent_graph, write
 
+from skewmi import policy_file
 from skewmi.deploy.policy import OnnxPolicy
 from skewmi.errors import LayoutMismatchError
 from skewmi.policy_io import Array
@@ -68,6 +69,26 @@ def test_memory_goes_on_until_reset(tmp_path: Path) -> None:
     policy.reset()
     batch = np.stack([policy.act(np.tile(observation, (4, 1))) for _ in range(2)])
     np.testing.assert_allclose(batch, np.stack([[first] * 4, [second] * 4]), atol=1e-6)
+
+
+def test_memory_that_does_not_fit_itself_or_its_description_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "policy.onnx"
+    right = policy_file.memory_document({"h": SIZE, "c": SIZE})
+    write(path, recurrent_graph(), metadata(memory=right))
+    assert OnnxPolicy.load(path).metadata["memory"] == right
+    wrong = policy_file.memory_document({"h": SIZE, "c": SIZE + 1})
+    for model, described in ((recurrent_graph(), wrong), (graph(), right), (graph(), "none")):
+        write(path, model, metadata(memory=described))
+        with pytest.raises(LayoutMismatchError, match="export the policy again"):
+            OnnxPolicy.load(path)
+    narrow = recurrent_graph()
+    less = numpy_helper.from_array(np.ones((SIZE, SIZE - 1), np.float32), "less")
+    narrow.graph.initializer.append(less)
+    narrow.graph.node[3].CopyFrom(helper.make_node("MatMul", ["c", "less"], ["c_next"]))
+    narrow.graph.output[2].type.tensor_type.shape.dim[1].dim_value = SIZE - 1
+    write(path, narrow, metadata())
+    with pytest.raises(LayoutMismatchError, match="c has 4 numbers, but what follows it, c_next"):
+        OnnxPolicy.load(path)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300])

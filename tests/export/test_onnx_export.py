@@ -86,6 +86,10 @@ def test_policy_with_memory_is_exported_step_by_step(
     session = onnxruntime.InferenceSession(report.path.read_bytes())
     assert [value.name for value in session.get_inputs()] == ["observation", "h", "c"]
     assert [value.name for value in session.get_outputs()] == ["action", "h_next", "c_next"]
+    memory = json.loads(metadata_of(report.path)["memory"])
+    assert memory["sizes"] == {"h": 16, "c": 16}
+    assert memory["next"] == {"h": "h_next", "c": "c_next"}
+    assert "zeros" in memory["initial"]
 
 
 def test_metadata_come_back_at_full_precision(
