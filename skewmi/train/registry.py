@@ -18,6 +18,8 @@ from skewmi.policy_io import PolicyLayout
 from skewmi.train.exploration.protocol import Exploration, ExplorationConfig
 from skewmi.train.exploration.skew_explore import SkewExplore, SkewExploreConfig
 from skewmi.train.learner import Learner, LearnerConfig
+from skewmi.train.ppo.config import PpoConfig
+from skewmi.train.ppo.learner import PpoLearner
 from skewmi.train.sac.config import SacConfig
 from skewmi.train.sac.learner import SacLearner
 
@@ -38,6 +40,7 @@ class Entry:
 
 LEARNERS: dict[str, Entry] = {
     "sac": Entry(SacConfig, SacLearner),
+    "ppo": Entry(PpoConfig, PpoLearner),
 }
 EXPLORATIONS: dict[str, Entry] = {
     "skew-explore": Entry(SkewExploreConfig, SkewExplore),
