@@ -16,7 +16,9 @@ import numpy as np
 from skewmi.errors import ConfigurationError, NotFoundError
 from skewmi.policy_io import PolicyLayout
 from skewmi.train.exploration.protocol import Exploration, ExplorationConfig
+from skewmi.train.exploration.rnd import Rnd, RndConfig
 from skewmi.train.exploration.skew_explore import SkewExplore, SkewExploreConfig
+from skewmi.train.exploration.skew_fit import SkewFit, SkewFitConfig
 from skewmi.train.learner import Learner, LearnerConfig
 from skewmi.train.ppo.config import PpoConfig
 from skewmi.train.ppo.learner import PpoLearner
@@ -44,6 +46,8 @@ LEARNERS: dict[str, Entry] = {
 }
 EXPLORATIONS: dict[str, Entry] = {
     "skew-explore": Entry(SkewExploreConfig, SkewExplore),
+    "skew-fit": Entry(SkewFitConfig, SkewFit),
+    "rnd": Entry(RndConfig, Rnd),
 }
 
 
