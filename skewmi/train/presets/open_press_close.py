@@ -6,33 +6,38 @@ from dataclasses import replace
 
 from skewmi.train.config import MetricsConfig, TrainConfig
 from skewmi.train.exploration.skew_explore import SkewExploreConfig
+from skewmi.train.presets import methods
 from skewmi.train.presets.shared import PAPER_EXPLORATION, PAPER_ROLLOUT, PAPER_SAC
 from skewmi.train.sac.config import SacConfig
 
 _TASK = "open_press_close"
 _LID, _BUTTON = "lid_angle", "button_depth"
+_PAPER = TrainConfig(
+    task=_TASK,
+    preset="paper",
+    task_options=(("gripper_action", True), ("time_input", True)),
+    total_steps=5_000_000,
+    learner=PAPER_SAC,
+    exploration=replace(PAPER_EXPLORATION, trajectory_bandwidth=0.2, history_bandwidth=0.11),
+    rollout=replace(PAPER_ROLLOUT, history_steps=5_000_000),
+    metrics=MetricsConfig(every_steps=25_000),
+)
+_IMPROVED = TrainConfig(
+    task=_TASK,
+    preset="improved",
+    task_options=(("time_input", True),),
+    total_steps=2_000_000,
+    learner=SacConfig(target_entropy=-1.5),
+    # What goals should differ in is the lid; x spans 20 mm of the hand's box, and the fingers
+    # are not commanded: where contact bends them is not worth a goal.
+    exploration=SkewExploreConfig(
+        field_weights=((_LID, 2.5), (_BUTTON, 1.0), ("gripper", 0.1), ("hand_x", 0.3))
+    ),
+    metrics=MetricsConfig(every_steps=25_000),
+)
 PRESETS = (
-    TrainConfig(
-        task=_TASK,
-        preset="paper",
-        task_options=(("gripper_action", True), ("time_input", True)),
-        total_steps=5_000_000,
-        learner=PAPER_SAC,
-        exploration=replace(PAPER_EXPLORATION, trajectory_bandwidth=0.2, history_bandwidth=0.11),
-        rollout=replace(PAPER_ROLLOUT, history_steps=5_000_000),
-        metrics=MetricsConfig(every_steps=25_000),
-    ),
-    TrainConfig(
-        task=_TASK,
-        preset="improved",
-        task_options=(("time_input", True),),
-        total_steps=2_000_000,
-        learner=SacConfig(target_entropy=-1.5),
-        # What goals should differ in is the lid; x spans 20 mm of the hand's box, and the fingers
-        # are not commanded: where contact bends them is not worth a goal.
-        exploration=SkewExploreConfig(
-            field_weights=((_LID, 2.5), (_BUTTON, 1.0), ("gripper", 0.1), ("hand_x", 0.3))
-        ),
-        metrics=MetricsConfig(every_steps=25_000),
-    ),
+    _PAPER,
+    _IMPROVED,
+    *methods.PAPER.presets(_PAPER),
+    *methods.IMPROVED.presets(_IMPROVED),
 )

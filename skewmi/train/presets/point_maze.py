@@ -6,46 +6,51 @@ from dataclasses import replace
 
 from skewmi.train.config import TrainConfig
 from skewmi.train.exploration.skew_explore import SkewExploreConfig
+from skewmi.train.presets import methods
 from skewmi.train.presets.shared import PAPER_EXPLORATION, PAPER_ROLLOUT, PAPER_SAC
 from skewmi.train.sac.config import SacConfig
 
 _TASK = "point_maze"
+_PAPER = TrainConfig(
+    task=_TASK,
+    preset="paper",
+    task_options=(("time_input", True),),
+    total_steps=1_000_000,
+    learner=PAPER_SAC,
+    exploration=replace(
+        PAPER_EXPLORATION,
+        intrinsic=0.01,
+        sigma=2.0,
+        trajectory_bandwidth=0.5,
+        goal_clip=None,
+        trajectory_clip=None,
+        running_scale=False,
+    ),
+    rollout=PAPER_ROLLOUT,
+)
+_IMPROVED = TrainConfig(
+    task=_TASK,
+    preset="improved",
+    task_options=(("time_input", True),),
+    total_steps=500_000,
+    learner=SacConfig(
+        updates_per_step=0.14,
+        rare_fraction=0.0,  # not tried here
+    ),
+    exploration=SkewExploreConfig(
+        intrinsic=0.01,
+        sigma=2.0,
+        trajectory_bandwidth=0.5,
+        goal_clip=None,
+        trajectory_clip=None,
+        running_scale=False,
+        history_bandwidth=0.3,
+        weight_exponent=-2.5,
+    ),
+)
 PRESETS = (
-    TrainConfig(
-        task=_TASK,
-        preset="paper",
-        task_options=(("time_input", True),),
-        total_steps=1_000_000,
-        learner=PAPER_SAC,
-        exploration=replace(
-            PAPER_EXPLORATION,
-            intrinsic=0.01,
-            sigma=2.0,
-            trajectory_bandwidth=0.5,
-            goal_clip=None,
-            trajectory_clip=None,
-            running_scale=False,
-        ),
-        rollout=PAPER_ROLLOUT,
-    ),
-    TrainConfig(
-        task=_TASK,
-        preset="improved",
-        task_options=(("time_input", True),),
-        total_steps=500_000,
-        learner=SacConfig(
-            updates_per_step=0.14,
-            rare_fraction=0.0,  # not tried here
-        ),
-        exploration=SkewExploreConfig(
-            intrinsic=0.01,
-            sigma=2.0,
-            trajectory_bandwidth=0.5,
-            goal_clip=None,
-            trajectory_clip=None,
-            running_scale=False,
-            history_bandwidth=0.3,
-            weight_exponent=-2.5,
-        ),
-    ),
+    _PAPER,
+    _IMPROVED,
+    *methods.PAPER.presets(_PAPER),
+    *methods.IMPROVED.presets(_IMPROVED),
 )
