@@ -34,8 +34,10 @@ _CURVES: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
         ),
     ),
     ("extrinsic return", (("return", "training"), ("evaluation_return", "evaluation"))),
-    ("policy entropy, nats, and temperature", (("policy_entropy", "entropy"),)),
+    ("policy entropy, nats", (("policy_entropy", "entropy"),)),
 )
+_TEMPERATURE = "temperature"
+"""Of those learners that have one; beside the entropy."""
 _MAX_POINTS = 60_000
 
 
@@ -50,14 +52,13 @@ def draw_curves(run_dir: Path, path: Path, dpi: int) -> Path:
     trajectories = np.array(table["trajectories"])
     for axis, (title, curves) in zip(axes.ravel(), _CURVES, strict=True):
         for (name, label), colour in zip(curves, (drawing.BLUE, drawing.ORANGE), strict=False):
-            values = np.array(table[name])
+            values = np.array(table.get(name, np.full(len(trajectories), np.nan)))
             known = np.isfinite(values)
             axis.plot(trajectories[known], values[known], color=colour, label=label or None)
-        if "temperature" in title:
+        if curves[0][0] == "policy_entropy" and _TEMPERATURE in table:
             right = axis.twinx()
-            values = np.array(table["temperature"])
-            right.semilogy(trajectories, values, color=drawing.ORANGE)
-            right.set_ylabel("temperature", color=drawing.ORANGE)
+            right.semilogy(trajectories, np.array(table[_TEMPERATURE]), color=drawing.ORANGE)
+            right.set_ylabel(_TEMPERATURE, color=drawing.ORANGE)
         elif len(curves) > 1:
             axis.legend(frameon=False, fontsize=8)
         axis.set_title(title, fontsize=10)
