@@ -160,7 +160,8 @@ def test_second_session_is_refused_and_the_first_goes_on(robot: str) -> None:
     second: list[subprocess.Popen[str]] = []
 
     class First(Scripted):
-        """Goes on until the second has been refused."""
+        """Stays where it is until the second has been refused: done within an episode, or the
+        arm would be free for a moment, as it is between two of them."""
 
         def act(self, observation: Array) -> Array:
             if self.count == 10 and not second:
@@ -172,7 +173,7 @@ def test_second_session_is_refused_and_the_first_goes_on(robot: str) -> None:
                 )
             if second and second[0].poll() is not None:
                 raise ValueError("enough")
-            return super().act(observation)
+            return np.zeros_like(super().act(observation))
 
     options = DeployOptions(episodes=10, connect=robot, lead_ms=PATIENT_MS)
     first = run_deploy(First(), options)
