@@ -228,7 +228,8 @@ def test_a_bridge_that_comes_again_is_found_by_the_scene() -> None:
 def test_one_word_swaps_the_simulated_robot_for_the_emulated_controller() -> None:
     policy = str(bundled()["open_press_close"])
     command = [sys.executable, "-m", "skewmi.cli.main", "deploy", policy]
-    command += ["--robot", "egm-emulator", "--episodes", "2", "--json"]
+    # Four processes that have to be on time: the lead is for a computer that is slow or busy.
+    command += ["--robot", "egm-emulator", "--episodes", "2", "--lead-ms", "60", "--json"]
     result = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert result.returncode == 0, result.stderr
     report = json.loads(result.stdout)
