@@ -30,6 +30,8 @@ SYSTEMATIC = 0.01
 happens between two measurements. Of a robot 15 % heavier than the model it was 0.014 and 0.025."""
 PUSHING = 0.9
 """Part of the force limit beyond which a servo may be at it, and tells nothing."""
+LEAST = 50
+"""Measurements of a joint that is not at its force limit: a second of them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +62,8 @@ def fit_efforts(
         recordings: That have efforts.
 
     Raises:
-        ConfigurationError: A recording has no efforts, or those of a joint do not grow with what
-            its servo is off its target.
+        ConfigurationError: A recording has no efforts, a joint is at its force limit nearly
+            always, or its efforts do not grow with what its servo is off its target.
     """
     for recording in recordings:
         if recording.efforts is None:
@@ -124,6 +126,12 @@ def _fit(
         matrix = np.concatenate([part[0] for part in parts])
         told = np.concatenate([part[1] for part in parts])
         free = np.concatenate([np.abs(part[2]) < limit[joint] for part in parts])
+        if free.sum() < LEAST:
+            raise ConfigurationError(
+                f"joint {joint + 1} of the chain is at its force limit of "
+                f"{servo.parameters.force_limit[joint]:g} N m in all but {free.sum()} of "
+                f"{len(free)} measurements, of which {LEAST} are needed; leave out --effort"
+            )
         matrix, told = matrix[free], told[free]
         information = matrix.T @ matrix
         values[joint] = np.linalg.solve(information, matrix.T @ told)

@@ -105,6 +105,8 @@ def test_what_are_no_efforts_is_refused(recording: ServoRecording) -> None:
     assert recording.efforts is not None
     with pytest.raises(ConfigurationError, match="sign of the positions"):
         fit_efforts(MODEL, TRUTH, [replace(recording, efforts=-recording.efforts)])
+    with pytest.raises(ConfigurationError, match="at its force limit"):
+        fit_efforts(MODEL, TRUTH, [replace(recording, efforts=100.0 * recording.efforts + 1e3)])
     with pytest.raises(ConfigurationError, match="must be as the positions"):
         replace(recording, efforts=recording.efforts[:, :3])
 
