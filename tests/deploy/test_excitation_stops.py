@@ -10,9 +10,8 @@ import time
 from pathlib import Path
 
 import pytest
-from executed_limits import assert_kept, wait_for, wait_for_state
+from executed_limits import assert_kept, start_calibration, wait_for, wait_for_state
 
-from skewmi.child import child_command
 from skewmi.cli.main import main
 from skewmi.deploy.recording.reader import read_recording
 from skewmi.deploy.recording.recorder import Recorder
@@ -20,12 +19,7 @@ from skewmi.deploy.wire.transport import TransportConfig
 
 
 def start(robot: str, out: Path) -> subprocess.Popen[bytes]:
-    command = child_command("-m", "skewmi.cli.main", "calibrate", "excite", "--connect", robot)
-    return subprocess.Popen(
-        [*command, "--seconds", "10", "--out", str(out)],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-    )
+    return start_calibration(robot, "excite", "--seconds", "10", "--out", str(out))
 
 
 @pytest.mark.slow

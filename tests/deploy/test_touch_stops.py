@@ -11,10 +11,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from executed_limits import assert_within_limits, wait_for, wait_for_state
+from executed_limits import (
+    assert_within_limits,
+    start_calibration,
+    wait_for,
+    wait_for_state,
+)
 from robot_servers import describe
 
-from skewmi.child import child_command
 from skewmi.cli.main import main
 from skewmi.deploy.recording.recorder import Recorder
 from skewmi.deploy.robot.process import spawn_robot
@@ -33,12 +37,7 @@ def robot() -> Iterator[str]:
 
 
 def start(robot: str, out: Path) -> subprocess.Popen[bytes]:
-    command = child_command("-m", "skewmi.cli.main", "calibrate", "scene", "--connect", robot)
-    return subprocess.Popen(
-        [*command, "--lead-ms", "100", "--out", str(out)],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-    )
+    return start_calibration(robot, "scene", "--lead-ms", "100", "--out", str(out))
 
 
 @pytest.mark.slow

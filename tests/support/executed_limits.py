@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from robot_servers import describe
 
+from skewmi.child import child_command
 from skewmi.deploy.recording.joint_series import executed_reference
 from skewmi.deploy.recording.reader import read_recording
 from skewmi.deploy.safety.flange_space import CALIBRATION, FlangeSpace, lowest_of_hand
@@ -19,6 +20,12 @@ from skewmi.trajectory import GRID_NS, GRID_S, Array
 
 TOLERANCE = 0.005
 """What the robot server allows outside, m."""
+
+
+def start_calibration(robot: str, *arguments: str) -> subprocess.Popen[bytes]:
+    """`skewmi calibrate` with these, on a running robot server, in a process of its own."""
+    command = child_command("-m", "skewmi.cli.main", "calibrate", *arguments, "--connect", robot)
+    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
 
 
 def wait_for(words: bytes, child: subprocess.Popen[bytes]) -> None:
