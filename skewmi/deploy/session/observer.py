@@ -181,7 +181,7 @@ class Observer:
             TransportError: A state is malformed.
         """
         self.forget()
-        self._scene.values.clear()
+        self._scene.begin_anew()
         state = self._first_state()
         # Forgetting may fall between a scene state and the joint state that follows it.
         for _ in range(_FIRST_STATES):

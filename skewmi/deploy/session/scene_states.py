@@ -70,6 +70,12 @@ class SceneStates:
         self._reader.drain()
         self._queue.clear()
 
+    def begin_anew(self) -> None:
+        """Know nothing of the scene: what comes next is newer than this call."""
+        self.forget()
+        self.values.clear()
+        self._received_ns = 0
+
     def missing(self) -> list[str]:
         """Fields that the policy needs and that no scene state has told."""
         return sorted(self._needed - set(self.values))
@@ -86,6 +92,10 @@ class SceneStates:
         if self.missing():
             others = self._reader.others()
             hint = " (a camera of yours is named by --scene-from)" if others else ""
+            if not self._received_ns:
+                raise StaleStateError(
+                    f"no scene state came, which the policy needs for {self.missing()}{others}{hint}"
+                )
             raise StaleStateError(f"the scene states lack {self.missing()}{others}{hint}")
         age_s = (time.monotonic_ns() - self._received_ns) / 1e9
         if arm_stamp_ns is not None:
