@@ -141,7 +141,7 @@ def test_silent_robot_server_stops_the_run_as_stale(tmp_path: Path) -> None:
             return action
 
         path = tmp_path / "run.mcap"
-        options = DeployOptions(connect=locator, record=path)
+        options = DeployOptions(connect=locator, record=path, lead_ms=60.0)
         report = run_deploy(Scripted(15, suspend), options)
         (episode,) = report.episodes
         assert episode.outcome == "stopped"

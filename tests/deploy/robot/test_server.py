@@ -70,7 +70,9 @@ def test_a_robot_server_that_is_ended_in_a_fault_follows_the_plan_to_rest_first(
     thread = threading.Thread(target=serve)
     thread.start()
     assert ready.wait(20.0)
-    run_deploy(FewSteps(3, fail.set), DeployOptions(connect=locator, lock_step=lock_step))
+    run_deploy(
+        FewSteps(3, fail.set), DeployOptions(connect=locator, lock_step=lock_step, lead_ms=60.0)
+    )
     thread.join(20.0)
     assert not thread.is_alive()
     assert crashes == []

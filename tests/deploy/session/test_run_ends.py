@@ -76,7 +76,7 @@ def test_a_fault_stays_until_somebody_acknowledges_it(
 
     monkeypatch.setattr(mujoco_backend, "ArmSimulation", Failing)
     with robot_in_a_thread(lock_step=lock_step) as robot:
-        options = DeployOptions(episodes=2, connect=robot, lock_step=lock_step)
+        options = DeployOptions(episodes=2, connect=robot, lock_step=lock_step, lead_ms=60.0)
         report = run_deploy(FewSteps(10, hot.set), options)
         assert report.faulted
         assert len(report.episodes) == 1
