@@ -94,7 +94,8 @@ class SceneStates:
             hint = " (a camera of yours is named by --scene-from)" if others else ""
             if not self._received_ns:
                 raise StaleStateError(
-                    f"no scene state came, which the policy needs for {self.missing()}{others}{hint}"
+                    f"no scene state came, which the policy needs for {self.missing()}"
+                    f"{others}{hint}"
                 )
             raise StaleStateError(f"the scene states lack {self.missing()}{others}{hint}")
         age_s = (time.monotonic_ns() - self._received_ns) / 1e9
