@@ -197,3 +197,14 @@ def test_a_motion_out_of_the_box_is_refused() -> None:
 def test_positions_that_jump_behind_harmless_velocities_are_refused() -> None:
     with pytest.raises(CommandRefusedError):
         VALIDATOR.check(changed("q", 20, 3, 1e-3), resting_plan(), NOW_NS)
+
+
+def test_workspaces_that_can_be_granted_are_named() -> None:
+    assert VALIDATOR.workspaces == ("task",)
+    check = limit_check(LAB, None)
+    others = {"calibration": check, "elsewhere": check}
+    assert ChunkValidator(RULES, check, others).workspaces == (
+        "task",
+        "calibration",
+        "elsewhere",
+    )
