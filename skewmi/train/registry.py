@@ -16,6 +16,10 @@ import numpy as np
 from skewmi.errors import ConfigurationError, NotFoundError
 from skewmi.policy_io import PolicyLayout
 from skewmi.train.exploration.protocol import Exploration, ExplorationConfig
+from skewmi.train.exploration.return_then_explore import (
+    ReturnThenExplore,
+    ReturnThenExploreConfig,
+)
 from skewmi.train.exploration.rnd import Rnd, RndConfig
 from skewmi.train.exploration.skew_explore import SkewExplore, SkewExploreConfig
 from skewmi.train.exploration.skew_fit import SkewFit, SkewFitConfig
@@ -46,6 +50,7 @@ LEARNERS: dict[str, Entry] = {
 }
 EXPLORATIONS: dict[str, Entry] = {
     "skew-explore": Entry(SkewExploreConfig, SkewExplore),
+    "return-then-explore": Entry(ReturnThenExploreConfig, ReturnThenExplore),
     "skew-fit": Entry(SkewFitConfig, SkewFit),
     "rnd": Entry(RndConfig, Rnd),
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skewmi.batch_env import BatchEnv
 from skewmi.policy_io import Array
@@ -44,12 +45,20 @@ class ExplorationNoise:
         self.begin[:spared] = steps
         self.noise: Array = generator.standard_normal((num_envs, action_dim))
 
-    def apply(self, step: int, action: Array) -> Array:
-        """Replace the actions of the episodes whose noise has begun."""
+    def apply(self, step: int, action: Array, wandering: NDArray[np.bool_] | None = None) -> Array:
+        """Replace the actions of the episodes whose noise has begun, and of some others.
+
+        Args:
+            step: Of the episodes.
+            action: The policy's. Shape (n, action_dim).
+            wandering: The others. Shape (n,).
+        """
         innovation = self.generator.standard_normal(self.noise.shape)
         self.noise = self.correlation * self.noise + np.sqrt(1 - self.correlation**2) * innovation
-        chosen = (step >= self.begin)[:, None]
-        return np.where(chosen, np.clip(self.noise, -1.0, 1.0), action)
+        chosen = step >= self.begin
+        if wandering is not None:
+            chosen = chosen | wandering
+        return np.where(chosen[:, None], np.clip(self.noise, -1.0, 1.0), action)
 
 
 def collect(
@@ -101,7 +110,7 @@ def collect(
             decision = learner.act(observations[:, t], goals[:, t], hidden, evaluation)
             hidden = decision.hidden
             notes.append(decision.notes)
-            action = noise.apply(t, decision.action)
+            action = noise.apply(t, decision.action, exploration.wandering())
         result = env.step(action)
         actions[:, t], rewards[:, t] = action, result.reward
         observations[:, t + 1] = result.observation

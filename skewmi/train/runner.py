@@ -41,6 +41,11 @@ class Runner:
         self.learner = make_learner(config.learner, layout, goal_dim, config.seed, config.device)
         if self.learner.on_policy:
             _require_own_actions(config.rollout)
+            require(
+                not self.exploration.moves_at_random,
+                "this learner is on-policy: it needs an exploration that leaves all actions to it, "
+                "say --exploration.explore-steps 0",
+            )
         self.history = Replay(layout, config.rollout.history_steps, goal_dim)
         self.coverage = CoverageMetrics(layout, config.task_metrics, config.metrics)
         self.discoveries = Discoveries(layout, config.task_metrics.events)

@@ -45,7 +45,7 @@ def on_policy(corridor_config: TrainConfig) -> TrainConfig:
 
 def test_only_registry_and_presets_name_a_method() -> None:
     package = Path(skewmi.train.runner.__file__).parent
-    explorations = ("skew_explore", "skew_fit", "rnd")
+    explorations = ("skew_explore", "return_then_explore", "skew_fit", "rnd")
     methods = (
         "skewmi.train.sac",
         "skewmi.train.ppo",

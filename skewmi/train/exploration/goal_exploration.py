@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skewmi.policy_io import Array, PolicyLayout
 from skewmi.train.exploration.goals import SkewedGoals, SkewedGoalsConfig
@@ -18,6 +19,7 @@ class GoalExploration:
     """
 
     metrics: tuple[str, ...] = ()
+    moves_at_random: bool = False
 
     def __init__(
         self, config: SkewedGoalsConfig, layout: PolicyLayout, generator: np.random.Generator
@@ -47,6 +49,10 @@ class GoalExploration:
     def goals(self, step: int, observations: Array) -> Array:
         """Goals were chosen when the episodes began. Shape (episodes, state_dim)."""
         return self.skewed.planned(step)
+
+    def wandering(self) -> NDArray[np.bool_] | None:
+        """Nobody: noise at the ends of episodes is the rollout's business."""
+        return None
 
     def observe(self, episodes: Episodes) -> Array:
         """The trajectory term of every reached state. Shape (episodes, steps)."""

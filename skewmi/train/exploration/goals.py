@@ -216,17 +216,16 @@ class SkewedGoals:
 
     def begin(self, episodes: int, evaluation: int, generator: np.random.Generator) -> None:
         """Choose the goals of the next episodes, see `plan_goals`."""
+        steps, switch = self.layout.episode_steps, self.config.switch_probability
+        self._planned = plan_goals(self.source(), episodes, steps, evaluation, switch, generator)
+
+    def source(self) -> GoalSource:
+        """Where the goals of the next episodes come from."""
         c = self.config
         probability = min(
             c.rewarded_goal_max, c.rewarded_goal_per_success * self._rewarded_episodes
         )
-        source = GoalSource(
-            self.proposals, self._rewarded_states, self.evaluation_goal, probability
-        )
-        steps = self.layout.episode_steps
-        self._planned = plan_goals(
-            source, episodes, steps, evaluation, c.switch_probability, generator
-        )
+        return GoalSource(self.proposals, self._rewarded_states, self.evaluation_goal, probability)
 
     def planned(self, step: int) -> Array:
         """Goals of a step of these episodes. Shape (episodes, state_dim)."""

@@ -41,6 +41,10 @@ class Exploration(Protocol):
         """Of the task's reward of 1 per step."""
 
     @property
+    def moves_at_random(self) -> bool:
+        """Whether `wandering` ever names an episode: on-policy learners cannot use that."""
+
+    @property
     def metrics(self) -> tuple[str, ...]:
         """Names of what `refresh` returns, in the order of their columns."""
 
@@ -74,6 +78,13 @@ class Exploration(Protocol):
 
         Returns:
             Shape (episodes, goal_dim).
+        """
+
+    def wandering(self) -> NDArray[np.bool_] | None:
+        """Which episodes move at random in the step whose goals were asked for last.
+
+        Returns:
+            Shape (episodes,); None if none of them ever does.
         """
 
     def observe(self, episodes: Episodes) -> Array:

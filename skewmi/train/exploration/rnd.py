@@ -169,6 +169,7 @@ class Rnd:
     """
 
     goal_dim = 0
+    moves_at_random = False
     metrics: tuple[str, ...] = ("novelty", "predictor_loss")
 
     def __init__(
@@ -196,6 +197,10 @@ class Rnd:
     def goals(self, step: int, observations: Array) -> Array:
         """None. Shape (episodes, 0)."""
         return np.zeros((self._episodes, 0))
+
+    def wandering(self) -> NDArray[np.bool_] | None:
+        """Nobody."""
+        return None
 
     def observe(self, episodes: Episodes) -> Array:
         """The predictor's error at every reached state. Shape (episodes, steps)."""

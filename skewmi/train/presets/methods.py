@@ -2,6 +2,7 @@
 
 Learner and exploration change, the rest of the preset stays. A preset NAME gives
 
+    NAME-return-then-explore    SAC with return-then-explore (not of that comparison; `improved`)
     NAME-ppo            PPO + LSTM with Skew-Explore
     NAME-skew-fit       SAC with Skew-Fit
     NAME-ppo-skew-fit   PPO + LSTM with Skew-Fit
@@ -14,10 +15,12 @@ from dataclasses import dataclass, fields, replace
 
 from skewmi.train.config import RolloutConfig, TrainConfig
 from skewmi.train.exploration.goals import SkewedGoalsConfig
+from skewmi.train.exploration.return_then_explore import ReturnThenExploreConfig
 from skewmi.train.exploration.rnd import RndConfig
 from skewmi.train.exploration.skew_explore import SkewExploreConfig
 from skewmi.train.exploration.skew_fit import SkewFitConfig
 from skewmi.train.ppo.config import PpoConfig
+from skewmi.train.sac.config import SacConfig
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,33 @@ class Methods:
             replace(ppo, preset=f"{base.preset}-ppo-skew-fit", exploration=fit),
             replace(ppo, preset=f"{base.preset}-ppo-rnd", exploration=rnd),
         )
+
+
+def return_then_explore(
+    base: TrainConfig, *, updates_per_step: float, arrival_radius: float, stall_distance: float
+) -> TrainConfig:
+    """Skew-Explore's goals in excursions, from a preset of Skew-Explore on SAC.
+
+    Random motion happens where an excursion ends, so there is none at the end of episodes.
+
+    Args:
+        base: Gives all other numbers.
+        updates_per_step: Gradient updates per environment step.
+        arrival_radius, stall_distance: See `ReturnThenExploreConfig`, density units.
+    """
+    explore, learner = base.exploration, base.learner
+    assert isinstance(explore, SkewExploreConfig)
+    assert isinstance(learner, SacConfig)
+    same = {f.name: getattr(explore, f.name) for f in fields(SkewExploreConfig)}
+    return replace(
+        base,
+        preset=f"{base.preset}-return-then-explore",
+        learner=replace(learner, updates_per_step=updates_per_step),
+        exploration=ReturnThenExploreConfig(
+            **same, arrival_radius=arrival_radius, stall_distance=stall_distance
+        ),
+        rollout=replace(base.rollout, noise_probability=0.0),
+    )
 
 
 PAPER = Methods(

@@ -40,4 +40,7 @@ PRESETS = (
     _IMPROVED,
     *methods.PAPER.presets(_PAPER),
     *methods.IMPROVED.presets(_IMPROVED),
+    methods.return_then_explore(
+        _IMPROVED, updates_per_step=0.14, arrival_radius=0.5, stall_distance=0.2
+    ),
 )

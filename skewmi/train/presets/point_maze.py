@@ -53,4 +53,7 @@ PRESETS = (
     _IMPROVED,
     *methods.PAPER.presets(_PAPER),
     *methods.IMPROVED.presets(_IMPROVED),
+    methods.return_then_explore(
+        _IMPROVED, updates_per_step=0.2, arrival_radius=0.7, stall_distance=0.3
+    ),
 )
