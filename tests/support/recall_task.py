@@ -83,6 +83,7 @@ class Nothing:
     """Satisfies `Exploration`: the task's own reward is all there is."""
 
     goal_dim = 0
+    moves_at_random = False
     extrinsic_weight = 1.0
     metrics = ()
 
@@ -99,6 +100,9 @@ class Nothing:
 
     def goals(self, step: int, observations: Array) -> Array:
         return np.zeros((self.episodes, 0))
+
+    def wandering(self) -> None:
+        return None
 
     def observe(self, episodes: Episodes) -> Array:
         return np.zeros(episodes.rewards.shape)

@@ -200,6 +200,7 @@ class CountBonus:
     """Satisfies `Exploration`, without goals."""
 
     goal_dim = 0
+    moves_at_random = False
     extrinsic_weight = 1.0
     metrics = ("cells",)
 
@@ -219,6 +220,9 @@ class CountBonus:
 
     def goals(self, step: int, observations: Array) -> Array:
         return np.zeros((self.episodes, 0))
+
+    def wandering(self) -> None:
+        return None
 
     def observe(self, episodes: Episodes) -> Array:
         """What the states were worth when they were reached."""
