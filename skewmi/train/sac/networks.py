@@ -33,6 +33,20 @@ def tanh_log_slope(u: Tensor) -> Tensor:
     return (2.0 * (math.log(2.0) - u - functional.softplus(-2.0 * u))).sum(-1)
 
 
+def squashed_sample(mean: Tensor, log_std: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
+    """tanh(u) of a Gaussian u, and its log density, differentiable in mean and deviation.
+
+    Args:
+        mean, log_std: Of u. Shape (n, action_dim).
+        noise: Standard normal. Shape (n, action_dim).
+
+    Returns:
+        Actions in (-1, 1), shape (n, action_dim), and log densities, shape (n,).
+    """
+    u = mean + log_std.exp() * noise
+    return torch.tanh(u), gaussian_log_prob(noise, log_std) - tanh_log_slope(u)
+
+
 class Actor(nn.Module):
     """Gaussian over u, action = tanh(u): inputs (n, input_dim) -> mean and log std of u."""
 
@@ -57,18 +71,9 @@ class Actor(nn.Module):
         return mean, log_std.clamp(*self.log_std_bounds)
 
     def sample(self, inputs: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
-        """Squashed action and its log density, differentiable in the parameters.
-
-        Args:
-            inputs: Shape (n, input_dim).
-            noise: Standard normal. Shape (n, action_dim).
-
-        Returns:
-            Actions in (-1, 1), shape (n, action_dim), and log densities, shape (n,).
-        """
+        """Squashed action and its log density for inputs (n, input_dim), see `squashed_sample`."""
         mean, log_std = self(inputs)
-        u = mean + log_std.exp() * noise
-        return torch.tanh(u), gaussian_log_prob(noise, log_std) - tanh_log_slope(u)
+        return squashed_sample(mean, log_std, noise)
 
 
 class Critics(nn.Module):
