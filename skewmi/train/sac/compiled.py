@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 from torch.func import functional_call, grad
 
+from skewmi.errors import ConfigurationError
 from skewmi.train.sac.networks import squashed_sample
 
 if TYPE_CHECKING:
@@ -32,6 +33,22 @@ def can_compile(device: torch.device) -> bool:
     if device.type != "cpu":
         return False
     return any(shutil.which(name) for name in ("g++", "clang++", "c++"))
+
+
+def chosen_engine(engine: str, device: torch.device) -> str:
+    """`eager` or `compiled`, for what a configuration says.
+
+    Raises:
+        ConfigurationError: `compiled` is asked for where it cannot be had.
+    """
+    if engine == "compiled" and not can_compile(device):
+        raise ConfigurationError(
+            "learner.engine is 'compiled', which needs a C++ compiler (g++ or clang++ on the PATH) and "
+            f"the device cpu, not {device.type}; 'eager' works everywhere"
+        )
+    if engine == "auto":
+        return "compiled" if can_compile(device) else "eager"
+    return engine
 
 
 class CompiledUpdate:
@@ -61,7 +78,12 @@ class CompiledUpdate:
         self._steps: Tensors = [a[p]["step"] for p in actor] + [c[p]["step"] for p in critics]
         options: dict[str, Any] = {}
         if backend == "inductor":
-            options["options"] = {"cpp_wrapper": True, "cpp.threads": 1}
+            import torch._inductor.config as inductor
+
+            # Or it keeps processes of its own for as long as this one lives.
+            inductor.compile_threads = 1
+            threads = torch.get_num_threads()
+            options["options"] = {"cpp_wrapper": True, "cpp.threads": threads}
         self._update: Callable[..., tuple[list[Tensors], Tensor]] = cast(
             Any, torch.compile(_whole_update(sac), fullgraph=True, backend=backend, **options)
         )

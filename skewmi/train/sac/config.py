@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from skewmi.train.checks import require
 from skewmi.train.learner import LearnerConfig
@@ -49,7 +50,18 @@ class SacConfig(LearnerConfig):
     rare_fraction: float = 0.25
     """Fraction of a batch from the episodes in which the present proposals were met."""
 
+    engine: Literal["auto", "eager", "compiled"] = "auto"
+    """How an update is computed: `eager`, operation by operation; `compiled`, in one function of
+    C++ code; `auto`: compiled on the device cpu where a C++ compiler is found. A run that goes on
+    keeps the engine that it began with, which its checkpoints name."""
+    compile_after: int = 5_000
+    """Updates that are computed operation by operation first: to compile takes a minute or less,
+    which short runs do better without."""
+
     def __post_init__(self) -> None:
+        engines = ("auto", "eager", "compiled")
+        require(self.engine in engines, f"engine is {self.engine!r}; allowed: {', '.join(engines)}")
+        require(self.compile_after >= 1, f"compile_after is {self.compile_after}, needs at least 1")
         require(len(self.hidden) > 0 and min(self.hidden) > 0, f"hidden layers {self.hidden}")
         require(self.n_step >= 1, f"n_step is {self.n_step}, needs at least 1")
         require(0.0 < self.discount < 1.0, f"discount is {self.discount}, needs 0 < it < 1")

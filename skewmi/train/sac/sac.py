@@ -16,6 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from skewmi.errors import CheckpointError
+from skewmi.train.sac.compiled import CompiledUpdate, can_compile, chosen_engine
 from skewmi.train.sac.config import SacConfig
 from skewmi.train.sac.networks import Actor, Critics
 from skewmi.train.state import State
@@ -86,6 +87,9 @@ class Sac:
         self.critic_optimizer = torch.optim.Adam(self._critic_parameters, lr=rate, fused=True)
         self.generator = torch.Generator(self.device).manual_seed(seed)
         self.updates = 0
+        self.engine = chosen_engine(config.engine, self.device)
+        """`eager` or `compiled`: how an update is computed, after the first ones."""
+        self._compiled: CompiledUpdate | None = None
 
     def act(self, inputs: Tensor, deterministic: bool = False) -> Tensor:
         """Actions for inputs (n, input_dim). Shape (n, action_dim)."""
@@ -112,7 +116,22 @@ class Sac:
 
         Returns:
             Scalars of this update, still tensors so that nothing waits for the device.
+
+        Raises:
+            ConfigurationError: It cannot be compiled here.
         """
+        if self.engine == "compiled" and self.updates >= self.config.compile_after:
+            if self._compiled is None:
+                self._compiled = CompiledUpdate(self)
+            noises = self._noise(len(batch)), self._noise(len(batch))
+            scalars = self._compiled(batch, *noises)
+        else:
+            scalars = self._eager_update(batch)
+        self.updates += 1
+        return scalars
+
+    def _eager_update(self, batch: Batch) -> dict[str, Tensor]:
+        """`update`, operation by operation."""
         target = self.targets(batch)
         values = self.critics(torch.cat((batch.inputs, batch.actions), -1))
         critic_loss = 0.5 * (values - target).square().mean(1).sum()
@@ -138,7 +157,6 @@ class Sac:
             torch._foreach_lerp_(
                 self._target_parameters, self._critic_parameters, self.config.polyak
             )
-        self.updates += 1
         return {
             "critic_loss": critic_loss.detach(),
             "actor_loss": actor_loss.detach(),
@@ -158,14 +176,25 @@ class Sac:
             "log_temperature": self.log_temperature,
             "generator": self.generator.get_state(),
             "updates": self.updates,
+            "engine": self.engine,
         }
 
     def load_state_dict(self, state: State) -> None:
         """Inverse of `state_dict`.
 
         Raises:
-            CheckpointError: Names or shapes do not fit these networks.
+            CheckpointError: Names or shapes do not fit these networks, or the updates were
+                compiled, and cannot be here.
         """
+        if self.config.engine == "auto":
+            self.engine = state.get("engine", "eager")
+            if self.engine == "compiled" and not can_compile(self.device):
+                raise CheckpointError(
+                    "the run's updates were compiled, and there is no C++ compiler here: install "
+                    "one (g++, clang++), or begin another run with its networks, --start-from RUN "
+                    "--learner.engine eager"
+                )
+        self._compiled = None  # It holds the moments that are replaced here.
         try:
             for name, module in self._modules():
                 module.load_state_dict(state[name])
