@@ -43,8 +43,8 @@ def chosen_engine(engine: str, device: torch.device) -> str:
     """
     if engine == "compiled" and not can_compile(device):
         raise ConfigurationError(
-            "learner.engine is 'compiled', which needs a C++ compiler (g++ or clang++ on the PATH) and "
-            f"the device cpu, not {device.type}; 'eager' works everywhere"
+            "learner.engine is 'compiled', which needs a C++ compiler (g++ or clang++ on the "
+            f"PATH) and the device cpu, not {device.type}; 'eager' works everywhere"
         )
     if engine == "auto":
         return "compiled" if can_compile(device) else "eager"
