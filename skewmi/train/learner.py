@@ -64,6 +64,9 @@ class Learner(Protocol):
     own, so that it does not matter when others draw.
     """
 
+    hurry: bool
+    """Set by the runner before `observe`: rewards have been met, and the run has not converged."""
+
     @property
     def metrics(self) -> tuple[str, ...]:
         """Names of what `update` returns, in the order of their columns."""

@@ -82,6 +82,7 @@ class Reinforce:
 
     metrics = ("policy_loss", "ratio_error")
     on_policy = True
+    hurry = False
 
     def __init__(
         self, config: ReinforceConfig, layout: PolicyLayout, goal_dim: int, seed: int, device: str

@@ -44,6 +44,7 @@ class PpoLearner:
         "return_deviation",
     )
     on_policy = True
+    hurry = False
 
     def __init__(
         self, config: PpoConfig, layout: PolicyLayout, goal_dim: int, seed: int, device: str

@@ -80,7 +80,13 @@ def return_then_explore(
     return replace(
         base,
         preset=f"{base.preset}-return-then-explore",
-        learner=replace(learner, updates_per_step=updates_per_step),
+        # Most trajectories to convergence used to come after the first reward.
+        learner=replace(
+            learner,
+            updates_per_step=updates_per_step,
+            burst_updates_per_step=0.8,
+            burst_rewarded_fraction=0.5,
+        ),
         exploration=ReturnThenExploreConfig(
             **same, arrival_radius=arrival_radius, stall_distance=stall_distance
         ),

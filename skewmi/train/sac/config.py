@@ -47,6 +47,10 @@ class SacConfig(LearnerConfig):
     """Fraction of a batch relabelled with a present proposal; the rest keeps its own goal."""
     rewarded_fraction: float = 0.25
     """Fraction of a batch from episodes that met the extrinsic reward, once there are any."""
+    burst_updates_per_step: float | None = None
+    """`updates_per_step` from the first reward until the run has converged; None: no other."""
+    burst_rewarded_fraction: float | None = None
+    """`rewarded_fraction` in that time; None: no other."""
     rare_fraction: float = 0.25
     """Fraction of a batch from the episodes in which the present proposals were met."""
 
@@ -79,4 +83,10 @@ class SacConfig(LearnerConfig):
             f"future_fraction {future}, proposal_fraction {proposal}, rewarded_fraction "
             f"{rewarded} and rare_fraction {rare} must lie in [0, 1]; so must the sum of the "
             "first two, and of the last two",
+        )
+        burst = rewarded if self.burst_rewarded_fraction is None else self.burst_rewarded_fraction
+        require(
+            0.0 <= burst <= 1.0 - rare,
+            f"burst_rewarded_fraction {burst} must be 0 or more, and at most 1 with rare_fraction "
+            f"{rare}",
         )

@@ -38,6 +38,7 @@ class SacLearner:
         self.config = config
         self.inputs = InputNormalizer(layout, goal_dim, normalize=config.normalize_input)
         self.sac = Sac(config, self.inputs.dim, layout.action_dim, seed, device)
+        self.hurry = False
         self._owed = 0.0  # updates, for the environment steps observed
 
     @property
@@ -58,7 +59,10 @@ class SacLearner:
 
     def observe(self, rollout: Rollout, trajectory_term: Array) -> None:
         """The history has the episodes; here only the updates for them are owed."""
-        self._owed += self.config.updates_per_step * rollout.episodes.rewards.size
+        c = self.config
+        burst = c.burst_updates_per_step if self.hurry else None
+        per_step = c.updates_per_step if burst is None else burst
+        self._owed += per_step * rollout.episodes.rewards.size
 
     def update(
         self, history: Replay, exploration: Exploration, generator: np.random.Generator
@@ -80,10 +84,11 @@ class SacLearner:
     ) -> Batch:
         """Transitions of the history, relabelled and rewarded anew."""
         c = self.config
+        burst = c.burst_rewarded_fraction if self.hurry else None
         drawn = history.draw(
             count,
             c.n_step,
-            c.rewarded_fraction,
+            c.rewarded_fraction if burst is None else burst,
             generator,
             rare=exploration.proposal_episodes,
             rare_fraction=c.rare_fraction,
