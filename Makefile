@@ -23,7 +23,7 @@ $(VENV)/installed: pyproject.toml
 	@$(BIN)/python -m pip install -q -e '.[train,dev]'
 	@touch $@
 
-demo: $(VENV)/installed  ## train, export, deploy on the simulated YuMi, write the replay
+demo: $(VENV)/installed  ## deploy a policy on the simulated YuMi, film and replay it, train another
 	$(BIN)/skewmi demo --overwrite
 
 test: $(VENV)/installed  ## the whole suite but the slow tests

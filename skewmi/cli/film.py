@@ -48,7 +48,7 @@ class FilmCommand:
     """Also write a picture of labelled frames in sequence (.png)."""
     episode: int = 1
     """Which episode, from 1."""
-    camera: str = "overview"
+    camera: str = "close"
     """Camera of the scene."""
     width: int = 480
     """Width of a frame, pixels."""

@@ -70,6 +70,8 @@ class TaskSpec:
         captions: What a film tells of an observation.
         presets: Configurations to train with, `package.module:ATTRIBUTE` by name, beside those
             that `skewmi.train.presets` has.
+        demo: Flags of `skewmi train` with which a newcomer sees a policy converge within minutes;
+            empty: there are none known.
         variations: What may differ from the nominal model.
         arm: What stands before the robot; None for a task without a robot, which cannot be
             deployed.
@@ -85,6 +87,7 @@ class TaskSpec:
     planes: tuple[tuple[str, str], ...] = ()
     captions: tuple[Caption, ...] = ()
     presets: Mapping[str, str] = field(default_factory=dict)
+    demo: tuple[str, ...] = ()
     variations: Variations = field(default_factory=Variations)
     arm: ArmTask | None = None
 

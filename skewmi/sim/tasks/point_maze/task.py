@@ -22,5 +22,6 @@ SPEC = TaskSpec(
             Event("left corridor", (Condition("x", high=-7.0), Condition("y", -2.0, 2.0))),
         ),
     ),
+    demo=("--preset", "improved-return-then-explore", "--option", "target=t2"),
     captions=(Caption("x", "x", "m"), Caption("y", "y", "m")),
 )
