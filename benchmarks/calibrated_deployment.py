@@ -30,14 +30,19 @@ from skewmi.cli.main import main as skewmi_command
 
 
 def command(*arguments: str) -> dict[str, Any]:
-    """What a command prints with --json; an empty document if it was refused."""
-    with redirect_stdout(StringIO()) as out, redirect_stderr(StringIO()):
-        skewmi_command([*arguments, "--json"])
+    """What a command prints with --json.
+
+    Raises:
+        RuntimeError: It prints nothing: it could not be carried out, say because a busy computer
+            did not start the robot server in time. That is no failure of the robot.
+    """
+    with redirect_stdout(StringIO()) as out, redirect_stderr(StringIO()) as errors:
+        code = skewmi_command([*arguments, "--json"])
     lines = out.getvalue().strip()
-    try:
-        document: dict[str, Any] = json.loads(lines)
-    except ValueError:
-        return {}
+    if not lines:
+        words = (errors.getvalue().strip().splitlines() or ["nothing"])[-1]
+        raise RuntimeError(f"skewmi {' '.join(arguments)} ended with {code} and said: {words}")
+    document: dict[str, Any] = json.loads(lines)
     return document
 
 
