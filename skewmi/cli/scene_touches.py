@@ -171,6 +171,10 @@ class TouchPlanner:
         """Paths of the hand through places, each off by what friction holds the arm off."""
         high, above, beside, inside = places
         down, creep = self._held_off(q, beside - above), self._held_off(q, inside - beside)
+        # What is commanded over the scene keeps its height, too: a soft arm is commanded lower
+        # than it goes by a centimetre and more.
+        lift = np.array([0.0, 0.0, max(-float(down[2]), 0.0)])
+        high, above = high + lift, above + lift
         creep_path = self._line(q, beside + down, inside + creep)
         up = self._line(q, beside + down, above + down)
         raised = self._line(up.at(up.length), above + down, high + down)
