@@ -19,31 +19,12 @@ from skewmi.train.checkpoint import (
     write_run_header,
 )
 from skewmi.train.checks import require
+from skewmi.train.columns import COLUMNS, TIME_COLUMNS, headline
 from skewmi.train.config import TrainConfig
 from skewmi.train.lock import only_training
 from skewmi.train.log import MetricsTable, ProgressBar
 from skewmi.train.memory import keep_freed_memory
 from skewmi.train.runner import Runner
-
-_COLUMNS = (
-    "step",
-    "trajectories",
-    "updates",
-    "return",
-    "rewarded_fraction",
-    "rewarded_episodes",
-    "evaluation_return",
-    "evaluation_fraction",
-    "entropy",
-    "coverage",
-    "differential_entropy",
-    "covered_cells",
-)
-"""Of metrics.csv, followed by those of learner, exploration and time; `docs/skew-explore.md` says
-what each means."""
-
-TIME_COLUMNS = ("seconds_rollout", "seconds_goals", "seconds_update", "seconds")
-"""Columns that differ between two runs of the same seed."""
 
 # How a run is paced may change between its parts; what it computes may not.
 _PACE = ("total_steps", "minutes", "stop_on_convergence", "checkpoint_every")
@@ -121,7 +102,7 @@ def _train(
     runner, resumed_at = _open(config, env, run_dir, resume, start_from)
     before = earlier_seconds(run_dir) if resumed_at is not None else 0.0
     own = (*runner.learner.metrics, *runner.exploration.metrics)
-    table = MetricsTable(run_dir, (*_COLUMNS, *own, *TIME_COLUMNS), resumed_at)
+    table = MetricsTable(run_dir, (*COLUMNS, *own, *TIME_COLUMNS), resumed_at)
     try:
         with ProgressBar(config.total_steps, progress) as bar:
             metrics, stopped_by = _iterate(
@@ -188,7 +169,7 @@ def _iterate(
             _save(runner, run_dir)
         for name in new:
             bar.note(f"first {name}: trajectory {runner.discoveries.first[name]['trajectory']:,}")
-        bar.update(runner.steps, runner.iteration, _headline(metrics))
+        bar.update(runner.steps, runner.iteration, headline(metrics))
     if metrics and runner.iteration % config.checkpoint_every != 0:
         _save(runner, run_dir)
     return metrics, stop
@@ -284,14 +265,3 @@ def _stop_reason(config: TrainConfig, runner: Runner, seconds: float) -> str | N
     if config.minutes is not None and seconds >= 60.0 * config.minutes:
         return "minutes"
     return None
-
-
-def _headline(metrics: dict[str, float]) -> str:
-    shown = [f"{int(metrics['trajectories']):,} trajectories"]
-    if "covered_cells" in metrics:
-        shown.append(f"covered {metrics['covered_cells']:.0%}")
-    if "entropy" in metrics:
-        shown.append(f"entropy {metrics['entropy']:.1f}")
-    shown.append(f"rewarded {metrics['rewarded_fraction']:.0%}")
-    shown.append(f"converged {metrics['evaluation_fraction']:.0%}")
-    return "  ".join(shown)

@@ -12,9 +12,10 @@ import torch
 
 from skewmi.batch_env import BatchEnv
 from skewmi.train.checkpoint import read_checkpoint
+from skewmi.train.columns import TIME_COLUMNS
 from skewmi.train.config import TrainConfig
 from skewmi.train.log import read_metrics
-from skewmi.train.run import TIME_COLUMNS, run_train
+from skewmi.train.run import run_train
 from skewmi.train.state import split
 
 
