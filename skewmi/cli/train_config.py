@@ -69,6 +69,7 @@ def begun_from(options: TrainCommand, config: TrainConfig) -> TrainConfig:
     return replace(
         config,
         started_from=origin,
+        rewarded=not options.unrewarded,
         seed=options.seed or 0,
         device=options.device or "cpu",
         threads=1 if options.threads is None else options.threads,
@@ -87,6 +88,7 @@ def resumed(options: TrainCommand, config: TrainConfig) -> TrainConfig:
         seed=(options.seed, config.seed),
         threads=(options.threads, config.threads),
         device=(options.device, config.device),
+        unrewarded=(options.unrewarded or None, not config.rewarded),
         start_from=(
             None if start_from is None else start_from.resolve().name,
             config.started_from.rpartition(", step ")[0] or "none",
@@ -124,6 +126,7 @@ def begun(options: TrainCommand, config: TrainConfig) -> TrainConfig:
     varied = _robot_options(options, config.task)
     return replace(
         config,
+        rewarded=not options.unrewarded,
         seed=options.seed or 0,
         device=options.device or "cpu",
         threads=1 if options.threads is None else options.threads,

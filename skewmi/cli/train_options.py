@@ -70,8 +70,12 @@ class TrainCommand(Origin):
     minutes: float | None = None
     """Stop after this much wall-clock time, minutes."""
     stop_on_convergence: bool = False
-    """Stop when 90 +- 3 % of the last 10 states of the last 10 evaluated trajectories are
-    rewarded. Without --steps and --minutes this is the sensible way to end."""
+    """Stop when 90 % of the last 10 states of the last 50 trajectories that count are rewarded,
+    known to a standard deviation below 3 %. Without --steps and --minutes the sensible way to
+    end."""
+    unrewarded: bool = False
+    """Explore only: the task has no target and pays nothing. Goes on for the whole budget and
+    measures coverage and entropy at every refresh of its goals."""
     num_envs: int | None = None
     """Environments stepped together; default: the preset's."""
     option: tyro.conf.UseAppendAction[tuple[str, ...]] = ()

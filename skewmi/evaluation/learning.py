@@ -51,8 +51,14 @@ class RunRecord:
 
     @property
     def converged_at(self) -> int | None:
-        """Trajectories after which the published criterion held first, or None."""
+        """Trajectories after which our criterion of convergence held first, or None."""
         value = self.state["converged_at"]
+        return None if value is None else int(value)
+
+    @property
+    def converged_at_paper(self) -> int | None:
+        """Trajectories after which the published criterion held first, or None."""
+        value = self.state.get("converged_at_paper")
         return None if value is None else int(value)
 
     @property
@@ -164,10 +170,9 @@ def _colour(index: int) -> str:
 
 
 def _draw_curves(axis: Axes, records: Sequence[RunRecord]) -> None:
-    metrics = records[0].config.metrics
-    threshold = metrics.convergence_fraction - metrics.convergence_tolerance
+    threshold = records[0].config.metrics.convergence_fraction
     axis.axhline(100.0 * threshold, color=drawing.GREY, linewidth=0.8, linestyle=":")
-    axis.text(0.0, 100.0 * threshold + 1.5, " converged", fontsize=7, color=drawing.GREY)
+    axis.text(0.0, 100.0 * threshold + 1.5, " needed to converge", fontsize=7, color=drawing.GREY)
     alone = len(records) == 1
     for k, record in enumerate(records):
         x, y = record.curve

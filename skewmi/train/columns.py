@@ -15,6 +15,9 @@ COLUMNS = (
     "coverage",
     "differential_entropy",
     "covered_cells",
+    "refresh",
+    "trajectories_to_convergence",
+    "trajectories_to_convergence_paper",
 )
 """Of metrics.csv, followed by those of learner, exploration and time; `docs/skew-explore.md` says
 what each means."""

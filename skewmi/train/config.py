@@ -24,7 +24,12 @@ class RolloutConfig:
     num_envs: int = 25
     """Environments stepped together."""
     evaluation_envs: int = 2
-    """Of these, run the deterministic action towards the goal to be exported."""
+    """Of these, run the deterministic action, and only they tell whether the task is learned: the
+    first towards the goal to be exported, the others towards rewarded states once there are any.
+    0: all trajectories count, as in the publication."""
+    evaluation_share: float = 0.4
+    """Of the environments, do so while those of the iteration before ended in the reward, so that
+    a policy that seems to be done is soon known; 0: never more than evaluation_envs."""
     random_steps: int = 5_000
     """Environment steps of uniform random actions at the start."""
     noise_probability: float = 0.4
@@ -39,10 +44,21 @@ class RolloutConfig:
             0 <= self.evaluation_envs < max(self.num_envs, 1),
             f"evaluation_envs is {self.evaluation_envs}, must be below num_envs {self.num_envs}",
         )
+        for name in ("noise_probability", "evaluation_share"):
+            share = getattr(self, name)
+            require(0.0 <= share <= 1.0, f"{name} is {share}, must lie in [0, 1]")
         require(
-            0.0 <= self.noise_probability <= 1.0,
-            f"noise_probability is {self.noise_probability}, must lie in [0, 1]",
+            self.most_evaluation_envs < max(self.num_envs, 1),
+            f"evaluation_share is {self.evaluation_share}: that is all of num_envs "
+            f"{self.num_envs}, and nothing would explore",
         )
+
+    @property
+    def most_evaluation_envs(self) -> int:
+        """How many environments run the deterministic action while the policy seems to be done."""
+        if self.evaluation_envs == 0:
+            return 0
+        return max(self.evaluation_envs, round(self.evaluation_share * self.num_envs))
 
 
 @dataclass(frozen=True)
@@ -56,11 +72,20 @@ class MetricsConfig:
     coverage_width: float = 0.1
     """A point at distance d from the nearest visited state is covered exp(-d^2 / 2 width^2)."""
     every_steps: int = 5_000
-    """Environment steps between two measurements."""
+    """Environment steps between two measurements of entropy; an unrewarded run measures at every
+    refresh of its exploration instead."""
     convergence_fraction: float = 0.9
     """Rewarded fraction of the last states of the last trajectories that counts as converged."""
     convergence_tolerance: float = 0.03
-    """Tolerance of it: the published criterion is 90 +- 3 %, and we take the lower edge."""
+    """What its standard deviation must stay below, see `convergence.py`."""
+    convergence_trajectories: int = 50
+    """How many trajectories our criterion looks at; the published one looks at ten."""
+
+    def __post_init__(self) -> None:
+        require(
+            self.convergence_trajectories >= 1,
+            f"convergence_trajectories is {self.convergence_trajectories}, needs at least 1",
+        )
 
 
 @dataclass(frozen=True)
@@ -82,6 +107,9 @@ class TrainConfig:
     started_from: str = ""
     """The run whose networks and replay this one began with, and at which step; empty: from
     scratch."""
+    rewarded: bool = True
+    """Whether the task's reward is paid; if not, there is no target: the run explores for its
+    whole budget."""
     seed: int = 0
     """Of networks, sampling and environment."""
     total_steps: int = 2_000_000
@@ -103,3 +131,8 @@ class TrainConfig:
         require(self.device in ("cpu", "cuda"), f"device is {self.device!r}; allowed: cpu, cuda")
         require(self.threads >= 1, f"threads is {self.threads}, needs at least 1")
         require(self.total_steps >= 1, f"total_steps is {self.total_steps}, needs at least 1")
+        require(
+            self.rewarded or not self.stop_on_convergence,
+            "stop_on_convergence is asked for, but the run is unrewarded, and without a reward "
+            "nothing converges: leave out one of the two",
+        )

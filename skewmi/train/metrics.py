@@ -9,12 +9,17 @@ As published (Skew-Explore and its code), so that curves can be laid beside the 
 
 Sound:
 
-* differential entropy: -mean log p over visited states, each left out of its own density, in
-  nats for coordinates in the grid's units. A bound is log(reachable area).
+* differential entropy: -mean log p over visited states drawn without replacement, each left out of
+  its own density, in nats for coordinates in the grid's units. log(reachable area) bounds the
+  entropy H of the states, but not this estimate, which is the cross-entropy of the states against
+  their density smoothed by the kernel, H + KL(states, smoothed): never below H but for chance, and
+  above log(area) by what the smoothing loses across walls. `entropy_ceiling` bounds it.
 * covered cells: visited fraction of the grid's cells whose center is reachable.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +32,9 @@ from skewmi.train.config import MetricsConfig
 from skewmi.train.density import kernel_log_density
 from skewmi.train.replay import Replay
 from skewmi.train.state import State, as_array
+
+_ENTROPY_STATES = 5_000
+"""Visited states behind the differential entropy."""
 
 
 def grid_points(low: Array, high: Array, counts: NDArray[np.int64]) -> Array:
@@ -44,6 +52,39 @@ def published_entropy(log_density: Array) -> float:
 def published_coverage(distance: Array, width: float) -> float:
     """Mean of exp(-d^2 / 2 width^2)."""
     return float(np.mean(np.exp(-0.5 * np.square(distance / width))))
+
+
+def entropy_ceiling(area: float, axes: int) -> float:
+    """What the differential entropy of a region cannot exceed, but for chance and cut-off cells.
+
+    Let the region be covered by N cells whose sides are the bandwidth h, P(c) the share of the
+    states in cell c. No two points of a cell are further apart than sqrt(d) h, so the smoothed
+    density at a state in c is at least P(c) (2 pi h^2)^(-d/2) exp(-d / 2), and therefore
+
+        -E log p  <=  -sum_c P(c) log P(c) + d/2 log(2 pi h^2) + d/2
+                  <=  log(N h^d) + d/2 log(2 pi e).
+
+    Args:
+        area: N h^d, in the grid's units.
+        axes: d.
+    """
+    return math.log(area) + 0.5 * axes * math.log(2.0 * math.pi * math.e)
+
+
+def leave_one_out_entropy(states: Array, bandwidth: float) -> float:
+    """-mean log p of distinct draws, each left out of its own kernel density.
+
+    Args:
+        states: Shape (n, d).
+        bandwidth: Of the kernels, in the states' units.
+
+    Returns:
+        In nats; NaN where no state has another one near.
+    """
+    log_density = kernel_log_density(states, states, bandwidth, leave_one_out=True)
+    # A state with no other one near has density 0 and would make the estimate infinite.
+    finite = log_density[np.isfinite(log_density)]
+    return float(-finite.mean()) if len(finite) else float("nan")
 
 
 class CoverageMetrics:
@@ -104,10 +145,11 @@ class CoverageMetrics:
         x = self.project(states)
         nearest, _ = cKDTree(x).query(self.points)
         self.distance = np.minimum(self.distance, nearest)
-        index = np.floor((x - self.low) / self._cell()).astype(np.int64)
-        # The upper end belongs to the last cell; a hinge at its stop overshoots it by rounding.
-        index = np.where(np.isclose(x, self.high, atol=1e-9), self.counts - 1, index)
-        inside = ((index >= 0) & (index < self.counts)).all(1)
+        cell = (x - self.low) / self._cell()
+        # What is beyond an end by less than half a cell belongs to the last one there: soft stops
+        # give way, and what rests on one is a hair beyond it, on either side.
+        inside = ((cell > -0.5) & (cell < self.counts + 0.5)).all(1)
+        index = np.clip(np.floor(cell).astype(np.int64), 0, self.counts - 1)
         self.visited[np.ravel_multi_index(tuple(index[inside].T), tuple(self.counts))] = True
 
     def coverage(self) -> dict[str, float]:
@@ -120,20 +162,25 @@ class CoverageMetrics:
             "covered_cells": float((self.visited & self.reachable).sum() / reachable),
         }
 
-    def entropy(self, history: Replay, generator: np.random.Generator) -> dict[str, float]:
-        """Both entropies of everything in the history."""
+    def entropy(
+        self, history: Replay, generator: np.random.Generator, own: np.random.Generator
+    ) -> dict[str, float]:
+        """Both entropies of everything in the history.
+
+        Args:
+            history: Holds what was visited.
+            generator: Of the states behind the published one, drawn with replacement as there.
+            own: Of those behind the differential one, each drawn once.
+        """
         if not self.columns:
             return {}
         c = self.config
         x = self.project(history.random_states(c.entropy_points, generator)[0])
         log_density = kernel_log_density(self.points, x, c.entropy_bandwidth)
-        own = x[: min(5_000, len(x))]
-        left_out = kernel_log_density(own, own, c.entropy_bandwidth, leave_one_out=True)
-        # A state with no other one near has density 0 and would make the estimate infinite.
-        finite = left_out[np.isfinite(left_out)]
+        once = self.project(history.distinct_states(_ENTROPY_STATES, own))
         return {
             "entropy": published_entropy(log_density),
-            "differential_entropy": float(-finite.mean()) if len(finite) else float("nan"),
+            "differential_entropy": leave_one_out_entropy(once, c.entropy_bandwidth),
         }
 
     def state_dict(self) -> State:

@@ -1,8 +1,6 @@
-"""First times of things, and the published convergence criterion."""
+"""First times of things."""
 
 from __future__ import annotations
-
-from collections import deque
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,44 +79,3 @@ class Discoveries:
             if c.high is not None:
                 met &= value <= c.high
         return met
-
-
-class Convergence:
-    """Rewarded fraction of the last 10 states of the last 10 trajectories."""
-
-    STATES = 10
-    TRAJECTORIES = 10
-
-    def __init__(self, fraction: float, tolerance: float) -> None:
-        self.threshold = fraction - tolerance
-        self.fractions: deque[float] = deque(maxlen=self.TRAJECTORIES)
-        self.returns: deque[float] = deque(maxlen=self.TRAJECTORIES)
-
-    def add(self, rewards: Array) -> None:
-        """Take in finished trajectories, rewards of shape (n, steps)."""
-        self.fractions.extend((rewards[:, -self.STATES :] > 0.0).mean(1).tolist())
-        self.returns.extend(rewards.sum(1).tolist())
-
-    @property
-    def fraction(self) -> float:
-        return float(np.mean(self.fractions)) if self.fractions else 0.0
-
-    @property
-    def score(self) -> tuple[float, float]:
-        """Orders policies: the fraction, then the mean return of the same trajectories."""
-        return self.fraction, float(np.mean(self.returns)) if self.returns else 0.0
-
-    @property
-    def converged(self) -> bool:
-        return len(self.fractions) == self.TRAJECTORIES and self.fraction >= self.threshold - 1e-9
-
-    def state_dict(self) -> State:
-        """All that a continuation needs."""
-        return {"fractions": list(self.fractions), "returns": list(self.returns)}
-
-    def load_state_dict(self, state: State) -> None:
-        """Inverse of `state_dict`."""
-        self.fractions.clear()
-        self.returns.clear()
-        self.fractions.extend(state["fractions"])
-        self.returns.extend(state["returns"])

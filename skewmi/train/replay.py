@@ -141,6 +141,18 @@ class Replay:
         states: Array = self.rows[slots, steps, self._state].astype(np.float64)
         return states, slots
 
+    def distinct_states(self, count: int, generator: np.random.Generator) -> Array:
+        """Up to `count` states met after a step, drawn uniformly without replacement. Shape (n, d).
+
+        No step of an episode is drawn twice; states of different steps may still be equal.
+        """
+        drawn = generator.choice(
+            self.transitions, size=min(count, self.transitions), replace=False, shuffle=False
+        )
+        slots, steps = np.divmod(drawn, self.steps)
+        states: Array = self.rows[slots, steps + 1, self._state].astype(np.float64)
+        return states
+
     def rewarded_states(self, count: int, generator: np.random.Generator) -> Array:
         """Up to `count` states that were paid, of recent rewarded episodes. Shape (n, d)."""
         slots = np.flatnonzero(self.rewarded)

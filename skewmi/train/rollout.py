@@ -71,6 +71,7 @@ def collect(
     noise_probability: float,
     noise_correlation: float,
     random_actions: bool,
+    rewarded: bool = True,
 ) -> Rollout:
     """Run one episode in every environment.
 
@@ -82,9 +83,10 @@ def collect(
         learner: Gives the actions.
         exploration: Gives the goals.
         generator: Of everything random but the policy's own noise.
-        evaluation: The first so many episodes are deterministic, towards the evaluation goal.
+        evaluation: The first so many episodes are deterministic, see `Exploration.begin`.
         noise_probability, noise_correlation: See `ExplorationNoise`.
         random_actions: Uniform actions instead of the policy's.
+        rewarded: Whether the task's reward is paid.
     """
     n, layout = env.num_envs, env.layout
     steps, dim = layout.episode_steps, layout.action_dim
@@ -112,7 +114,7 @@ def collect(
             notes.append(decision.notes)
             action = noise.apply(t, decision.action, exploration.wandering())
         result = env.step(action)
-        actions[:, t], rewards[:, t] = action, result.reward
+        actions[:, t], rewards[:, t] = action, result.reward if rewarded else 0.0
         observations[:, t + 1] = result.observation
     names = notes[0] if notes else ()
     return Rollout(

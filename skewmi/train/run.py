@@ -37,10 +37,14 @@ class TrainResult:
     run_dir: str
     steps: int
     trajectories: int
+    refreshes: int
+    """Of the exploration."""
     converged_at: int | None
-    """Trajectories after which the published criterion held first, or None."""
+    """Trajectories after which our criterion of convergence held first, or None."""
+    converged_at_paper: int | None
+    """Trajectories after which the published one held first, or None."""
     evaluation_fraction: float
-    """Rewarded fraction of the last 10 states of the last 10 evaluation trajectories."""
+    """Rewarded fraction of the last 10 states of the last 10 trajectories that count."""
     discoveries: dict[str, dict[str, int]]
     """First trajectory and step of each event."""
     stopped_by: str
@@ -114,7 +118,9 @@ def _train(
         run_dir=str(run_dir),
         steps=runner.steps,
         trajectories=runner.episodes,
-        converged_at=runner.converged_at,
+        refreshes=runner.exploration.refreshes,
+        converged_at=runner.convergence.at,
+        converged_at_paper=runner.convergence.published_at,
         evaluation_fraction=runner.convergence.fraction,
         discoveries=runner.discoveries.first,
         stopped_by=stopped_by,

@@ -16,11 +16,12 @@ from skewmi.train.blocks import read_blocks
 from skewmi.train.checkpoint import Checkpoint
 from skewmi.train.checks import require
 from skewmi.train.config import RolloutConfig, TrainConfig
+from skewmi.train.convergence import Convergence
 from skewmi.train.learner import Rollout
 from skewmi.train.metrics import CoverageMetrics
-from skewmi.train.milestones import Convergence, Discoveries
+from skewmi.train.milestones import Discoveries
 from skewmi.train.registry import make_exploration, make_learner
-from skewmi.train.replay import Episodes, Replay
+from skewmi.train.replay import Replay
 from skewmi.train.rollout import collect
 from skewmi.train.state import State
 
@@ -52,13 +53,20 @@ class Runner:
         self.convergence = self._new_convergence()
         self.steps = self.iteration = self.rewarded_episodes = self.next_measurement = 0
         self.best_score: tuple[float, float] = (0.0, 0.0)
-        self.converged_at: int | None = None
         first = env.reset(seed=config.seed)
         self.coverage.set_reachable(env, first[0, : layout.state_dim])
 
     def _new_convergence(self) -> Convergence:
-        metrics = self.config.metrics
-        return Convergence(metrics.convergence_fraction, metrics.convergence_tolerance)
+        m = self.config.metrics
+        return Convergence(
+            m.convergence_fraction, m.convergence_tolerance, m.convergence_trajectories
+        )
+
+    def _evaluation_envs(self) -> int:
+        """How many of the next episodes run the deterministic action."""
+        c = self.config
+        done = self.convergence.latest >= c.metrics.convergence_fraction
+        return c.rollout.most_evaluation_envs if done else c.rollout.evaluation_envs
 
     @property
     def episodes(self) -> int:
@@ -78,15 +86,17 @@ class Runner:
             self.learner,
             self.exploration,
             self.generator,
-            evaluation=c.rollout.evaluation_envs,
+            evaluation=self._evaluation_envs(),
             noise_probability=c.rollout.noise_probability,
             noise_correlation=c.rollout.noise_correlation,
             random_actions=self.steps < c.rollout.random_steps,
+            rewarded=c.rewarded,
         )
-        term, new = self._keep(rollout.episodes)
+        term, new = self._keep(rollout)
         collected = time.perf_counter()
+        refreshes = self.exploration.refreshes
         metrics = self.exploration.refresh(self.history, self.steps, self.generator)
-        metrics |= self._measure(rollout.episodes)
+        metrics |= self._measure(rollout, refreshed=self.exploration.refreshes > refreshes)
         refreshed = time.perf_counter()
         # Nothing is learned before the random beginning is over.
         if self.steps >= min(c.rollout.random_steps, c.total_steps):
@@ -102,8 +112,9 @@ class Runner:
         }
         return metrics, new
 
-    def _keep(self, episodes: Episodes) -> tuple[Array, list[str]]:
+    def _keep(self, rollout: Rollout) -> tuple[Array, list[str]]:
         """Remember finished episodes; their trajectory term, and events met for the first time."""
+        episodes = rollout.episodes
         term = self.exploration.observe(episodes)
         reached = episodes.observations[:, 1:]
         new = self.discoveries.add(reached, episodes.rewards, self.episodes, self.steps)
@@ -112,27 +123,31 @@ class Runner:
         self.coverage.add(reached[..., :d].reshape(-1, d))
         self.steps += episodes.rewards.size
         self.rewarded_episodes += int((episodes.rewards > 0.0).any(1).sum())
-        self.convergence.add(self._evaluated(episodes))
-        if self.convergence.converged and self.converged_at is None:
-            self.converged_at = self.episodes
+        counted = _counted(rollout)
+        self.convergence.add(
+            episodes.observations[counted], episodes.rewards[counted], self.episodes
+        )
         return term, new
 
-    def _evaluated(self, episodes: Episodes) -> Array:
-        """Rewards of the evaluation episodes, or of all if there are none apart."""
-        return episodes.rewards[: self.config.rollout.evaluation_envs or len(episodes.rewards)]
-
-    def _measure(self, episodes: Episodes) -> dict[str, float]:
-        rewards = episodes.rewards
+    def _measure(self, rollout: Rollout, *, refreshed: bool) -> dict[str, float]:
+        rewards = rollout.episodes.rewards
         metrics = {
             "return": float(rewards.sum(1).mean()),
             "rewarded_fraction": float((rewards > 0.0).any(1).mean()),
-            "evaluation_return": float(self._evaluated(episodes).sum(1).mean()),
+            "evaluation_return": float(rewards[_counted(rollout)].sum(1).mean()),
             "evaluation_fraction": self.convergence.fraction,
             "rewarded_episodes": float(self.rewarded_episodes),
+            "refresh": float(self.exploration.refreshes),
             **self.coverage.coverage(),
         }
-        if self.steps >= self.next_measurement:
-            metrics |= self.coverage.entropy(self.history, self.generator)
+        for name, at in (("", self.convergence.at), ("_paper", self.convergence.published_at)):
+            if at is not None:
+                metrics[f"trajectories_to_convergence{name}"] = float(at)
+        due = self.steps >= self.next_measurement if self.config.rewarded else refreshed
+        if due:
+            # A stream of its own, that no continuation has to keep.
+            own = np.random.default_rng([self.config.seed, 2, self.steps])
+            metrics |= self.coverage.entropy(self.history, self.generator, own)
             self.next_measurement = self.steps + self.config.metrics.every_steps
         return metrics
 
@@ -159,7 +174,9 @@ class Runner:
             "updates": self.learner.updates,
             "rewarded_episodes": self.rewarded_episodes,
             "next_measurement": self.next_measurement,
-            "converged_at": self.converged_at,
+            "refreshes": self.exploration.refreshes,
+            "converged_at": self.convergence.at,
+            "converged_at_paper": self.convergence.published_at,
             "best_score": self.best_score,
             "evaluation_goal": self.exploration.evaluation_goal,
             "evaluation_fraction": self.convergence.fraction,
@@ -180,7 +197,7 @@ class Runner:
             CheckpointError: It is damaged or does not fit.
         """
         self.load(checkpoint, environment=False)
-        self.converged_at, self.best_score = None, (0.0, 0.0)
+        self.best_score = (0.0, 0.0)
         self.convergence = self._new_convergence()
 
     def load(self, checkpoint: Checkpoint, *, environment: bool = True) -> None:
@@ -202,7 +219,7 @@ class Runner:
             self.convergence.load_state_dict(s["convergence"])
             self.steps, self.iteration = s["step"], s["iteration"]
             self.rewarded_episodes = s["rewarded_episodes"]
-            self.next_measurement, self.converged_at = s["next_measurement"], s["converged_at"]
+            self.next_measurement = s["next_measurement"]
             self.best_score = (s["best_score"][0], s["best_score"][1])
             self.generator.bit_generator.state = s["generator"]
             if environment:
@@ -210,6 +227,11 @@ class Runner:
             read_blocks(self.history, checkpoint.path / "replay", s["episodes"])
         except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
             raise CheckpointError(f"checkpoint {checkpoint.path} is damaged: {error}") from error
+
+
+def _counted(rollout: Rollout) -> slice:
+    """The episodes that tell whether the task is learned: evaluated ones, or all without any."""
+    return slice(rollout.evaluation or None)
 
 
 def _require_own_actions(rollout: RolloutConfig) -> None:

@@ -86,6 +86,7 @@ class Nothing:
     moves_at_random = False
     extrinsic_weight = 1.0
     metrics = ()
+    refreshes = 0
 
     def __init__(
         self, config: NothingConfig, layout: PolicyLayout, generator: np.random.Generator

@@ -213,6 +213,7 @@ class CountBonus:
         self.proposals: Array = np.zeros((0, 0))
         self.proposal_episodes: Index = np.zeros(0, dtype=np.int64)
         self.episodes = 0
+        self.refreshes = 0
         self.cells: Array = np.zeros((0, layout.state_dim))
         self.counts: Array = np.zeros(0)
 
@@ -253,10 +254,12 @@ class CountBonus:
         cells = np.floor(states / self.config.cell)
         self.cells, self.counts = np.unique(cells, axis=0, return_counts=True)
         self.counts = self.counts.astype(np.float64)
+        self.refreshes += 1
         return {"cells": float(len(self.cells))}
 
     def state_dict(self) -> State:
-        return {"cells": self.cells, "counts": self.counts}
+        return {"cells": self.cells, "counts": self.counts, "refreshes": self.refreshes}
 
     def load_state_dict(self, state: State) -> None:
         self.cells, self.counts = as_array(state["cells"]), as_array(state["counts"])
+        self.refreshes = state["refreshes"]

@@ -1,4 +1,4 @@
-"""First times, and convergence."""
+"""First times."""
 
 from __future__ import annotations
 
@@ -7,22 +7,7 @@ import pytest
 
 from skewmi.batch_env import Condition, Event
 from skewmi.errors import ConfigurationError
-from skewmi.train.milestones import Convergence, Discoveries
-
-
-def test_convergence_is_the_published_criterion() -> None:
-    convergence = Convergence(0.9, 0.03)
-    good, bad = np.ones((1, 200)), np.ones((1, 200))
-    bad[:, -2:] = 0.0  # 8 of its last 10 states are rewarded
-    for _ in range(9):
-        convergence.add(good)
-        assert not convergence.converged  # fewer than ten trajectories
-    convergence.add(bad)
-    assert convergence.fraction == pytest.approx(0.98)
-    for _ in range(6):
-        convergence.add(bad)
-    assert convergence.fraction == pytest.approx(0.86)
-    assert not convergence.converged
+from skewmi.train.milestones import Discoveries
 
 
 def test_first_times_are_the_first(make_corridor, corridor_config) -> None:

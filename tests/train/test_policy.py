@@ -11,6 +11,7 @@ import pytest
 from skewmi.errors import LayoutMismatchError
 from skewmi.policy_io import Ball
 from skewmi.train.checkpoint import read_checkpoint
+from skewmi.train.log import read_metrics
 from skewmi.train.policy import load_policy
 from skewmi.train.registry import make_learner
 from skewmi.train.run import run_train
@@ -47,14 +48,22 @@ def test_best_checkpoint_is_the_best_evaluated(tmp_path, make_corridor, corridor
     env.layout = everywhere
     result = run_train(corridor_config, env, tmp_path, progress=False)
     assert result.evaluation_fraction == 1.0
-    # One evaluated trajectory per iteration of five.
-    assert result.converged_at is None  # six iterations, the criterion wants ten
+    # One of five is evaluated in the first iteration, and two once that one ended in the reward:
+    # eleven of the first thirty trajectories.
+    assert (result.converged_at, result.converged_at_paper) == (None, 30)
     best, latest = read_checkpoint(tmp_path, "best"), read_checkpoint(tmp_path)
     assert best.path.name.startswith("best-")
     assert best.state["best_score"] == [1.0, 40.0]
     assert best.state["step"] <= latest.state["step"]
     assert load_policy(tmp_path, "best").metadata["evaluation_fraction"] == 1.0
-    longer = replace(corridor_config, total_steps=4000, stop_on_convergence=True)
+    longer = replace(corridor_config, total_steps=8000, stop_on_convergence=True)
     result = run_train(longer, env, tmp_path, resume=True, progress=False)
     assert result.stopped_by == "convergence"
-    assert result.converged_at == 50
+    assert result.converged_at_paper == 30
+    assert result.converged_at == 5 * 26
+    table = read_metrics(tmp_path)
+    for name, at in (("_paper", 30), ("", 130)):
+        column = np.array(table[f"trajectories_to_convergence{name}"])
+        met = np.array(table["trajectories"]) >= at
+        assert (column[met] == at).all()
+        assert np.isnan(column[~met]).all()

@@ -28,6 +28,11 @@ class GoalExploration:
         self.goal_dim = layout.state_dim
 
     @property
+    def refreshes(self) -> int:
+        """How often goals were proposed."""
+        return self.skewed.refreshes
+
+    @property
     def evaluation_goal(self) -> Array:
         """Shape (state_dim,)."""
         return self.skewed.evaluation_goal

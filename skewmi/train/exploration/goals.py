@@ -165,7 +165,9 @@ def plan_goals(
 ) -> Array:
     """Goal of every step of a batch of episodes.
 
-    The first `evaluation` episodes keep the evaluation goal. The others start with a draw and,
+    Of the first `evaluation` episodes one keeps the evaluation goal, and the others a rewarded
+    state each, so that they differ even where nothing else is random; while there are none, all
+    keep the evaluation goal. The episodes after these start with a draw and,
     unless that gave a rewarded state, change to another proposal with `switch_probability` at
     every step: the policy then learns to go from one region to the next, not only from the
     start.
@@ -183,6 +185,10 @@ def plan_goals(
     latest = np.maximum.accumulate(np.where(switch, np.arange(steps), 0), axis=1)
     goals: Array = np.take_along_axis(fresh, latest[:, :, None], axis=1)
     goals[:evaluation] = source.evaluation_goal
+    others, known = evaluation - 1, len(source.rewarded)
+    if others > 0 and known:
+        chosen = generator.choice(known, size=others, replace=others > known)
+        goals[1:evaluation] = source.rewarded[chosen][:, None]
     return goals
 
 
@@ -193,6 +199,7 @@ class SkewedGoals:
         scale: Density units.
         proposals: Present goals. Shape (k, state_dim).
         proposal_episodes: Slots of the episodes they were met in. Shape (k,) or (0,).
+        refreshes: How often goals were proposed.
         evaluation_goal: Once a reward was met, the most central of the recently rewarded states;
             before that, the last proposal. Shape (state_dim,).
     """
@@ -211,6 +218,7 @@ class SkewedGoals:
         self.evaluation_goal: Array = self.proposals[0]
         self._rewarded_states: Array = np.zeros((0, d))
         self._rewarded_episodes = 0
+        self.refreshes = 0
         self._next_refresh = config.first_refresh_steps
         self._planned: Array = np.zeros((0, layout.episode_steps, d))
 
@@ -244,6 +252,7 @@ class SkewedGoals:
         """When due after `steps`: new density units, proposals and evaluation goal."""
         if steps < self._next_refresh:
             return
+        self.refreshes += 1
         self._next_refresh = steps + self.config.refresh_steps
         self._rescale()
         self.proposals, self.proposal_episodes = propose(
@@ -273,6 +282,7 @@ class SkewedGoals:
             "rewarded_states": self._rewarded_states,
             "rewarded_episodes": self._rewarded_episodes,
             "next_refresh": self._next_refresh,
+            "refreshes": self.refreshes,
         }
 
     def load_state_dict(self, state: State) -> None:
@@ -285,3 +295,5 @@ class SkewedGoals:
         self._rewarded_states = as_array(state["rewarded_states"])
         self._rewarded_episodes = int(state["rewarded_episodes"])
         self._next_refresh = int(state["next_refresh"])
+        # Checkpoints of earlier versions do not tell: counted from there.
+        self.refreshes = int(state.get("refreshes", 0))

@@ -49,6 +49,10 @@ class Exploration(Protocol):
         """Names of what `refresh` returns, in the order of their columns."""
 
     @property
+    def refreshes(self) -> int:
+        """How often what drives exploration was renewed so far: goals, or what stands for them."""
+
+    @property
     def evaluation_goal(self) -> Array:
         """What deterministic episodes and exported policies aim at. Shape (goal_dim,)."""
 
@@ -65,7 +69,8 @@ class Exploration(Protocol):
 
         Args:
             episodes: How many.
-            evaluation: The first so many keep the evaluation goal.
+            evaluation: The first so many tell whether the task is learned: the first keeps the
+                evaluation goal, the others rewarded states once there are any, each its own.
             generator: Of the random choices.
         """
 

@@ -189,6 +189,7 @@ class Rnd:
         # Reached since the last refresh; none between two iterations, where checkpoints are.
         self._fresh: list[Array] = []
         self._novelty = 0.0
+        self.refreshes = 0
 
     def begin(self, episodes: int, evaluation: int, generator: np.random.Generator) -> None:
         """There is nothing to choose."""
@@ -239,13 +240,20 @@ class Rnd:
             return {}
         loss = self.distillation.train(np.concatenate(self._fresh), generator)
         self._fresh = []
+        self.refreshes += 1
         return {"novelty": self._novelty, "predictor_loss": loss}
 
     def state_dict(self) -> State:
         """All that a continuation needs."""
-        return {**self.distillation.state_dict(), "scale": self.scale.state_dict()}
+        return {
+            **self.distillation.state_dict(),
+            "scale": self.scale.state_dict(),
+            "refreshes": self.refreshes,
+        }
 
     def load_state_dict(self, state: State) -> None:
         """Inverse of `state_dict`."""
         self.distillation.load_state_dict(state)
         self.scale.load_state_dict(state["scale"])
+        # Checkpoints of earlier versions do not tell: counted from there.
+        self.refreshes = int(state.get("refreshes", 0))

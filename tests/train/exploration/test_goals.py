@@ -59,13 +59,43 @@ def test_goals_switch_at_the_asked_rate() -> None:
     proposals = rng.normal(size=(100, 2))
     source = GoalSource(proposals, np.full((5, 2), 7.0), np.array([9.0, 9.0]), 0.3)
     goals = plan_goals(source, 400, 200, 2, 0.05, rng)
-    assert (goals[:2] == 9.0).all()
+    assert (goals[0] == 9.0).all()
+    assert (goals[1] == 7.0).all()
     from_rewarded = (goals[2:, 0] == 7.0).all(1)
     assert from_rewarded.mean() == pytest.approx(0.3, abs=0.07)
     assert (goals[2:][from_rewarded] == 7.0).all()
     free = goals[2:][~from_rewarded]
     changes = (free[:, 1:] != free[:, :-1]).any(-1).mean()
     assert changes == pytest.approx(0.05 * 0.99, abs=0.005)
+
+
+def test_evaluated_episodes_aim_at_rewarded_states_that_differ() -> None:
+    proposals, rewarded = np.zeros((10, 2)), np.arange(20.0).reshape(10, 2) + 100.0
+    final = np.array([-1.0, -1.0])
+    for known in (0, 1, 3, 10):
+        source = GoalSource(proposals, rewarded[:known], final, 0.0)
+        goals = plan_goals(source, 8, 30, 5, 0.5, np.random.default_rng(known))
+        assert (goals[:5] == goals[:5, :1]).all()  # none switches
+        assert (goals[5:] == 0.0).all()
+        assert (goals[0] == final).all()
+        first = goals[1:5, 0]
+        if known == 0:
+            assert (first == final).all()
+            continue
+        assert all((goal == rewarded[:known]).all(1).any() for goal in first)
+        if known >= 4:
+            assert len(np.unique(first, axis=0)) == 4
+
+
+def test_evaluation_draws_nothing_before_a_reward_is_known() -> None:
+    """So that runs are what they were, whatever is evaluated, until there is one."""
+    source = GoalSource(np.arange(20.0).reshape(10, 2), np.zeros((0, 2)), np.zeros(2), 0.3)
+    after = []
+    for evaluation in (0, 1, 5):
+        generator = np.random.default_rng(3)
+        plan_goals(source, 8, 30, evaluation, 0.1, generator)
+        after.append(generator.random())
+    assert after[0] == after[1] == after[2]
 
 
 def test_weights_turn_one_density_into_its_power() -> None:

@@ -5,15 +5,11 @@ from __future__ import annotations
 import math
 
 from skewmi.batch_env import Condition, Event, GridAxis, TaskMetrics
-from skewmi.sim.arm.definition import BOX_TOLERANCE
 from skewmi.sim.arm.spec import arm_task_spec
 from skewmi.sim.task_spec import Caption
 from skewmi.sim.tasks.door_open.definition import ARM, DOOR, GRIPPER_OPENING
 
 _DOOR = DOOR.field.name
-_FINGERS_GIVE, _DOOR_GIVES = 0.001, 0.01
-"""How far the grid goes beyond where fingers and door are by rights, m and rad: soft stops give
-way, and what rests a hair beyond an end would be in no cell."""
 
 SPEC = arm_task_spec(
     ARM,
@@ -23,11 +19,11 @@ SPEC = arm_task_spec(
         # half of the points can never be covered.
         grid=(
             *(
-                GridAxis(f"hand_{axis}", low - BOX_TOLERANCE, high + BOX_TOLERANCE, 10)
+                GridAxis(f"hand_{axis}", low, high, 10)
                 for axis, low, high in zip("xyz", ARM.low, ARM.high, strict=True)
             ),
-            GridAxis("gripper", -_FINGERS_GIVE, GRIPPER_OPENING + _FINGERS_GIVE, 2),
-            GridAxis(_DOOR, DOOR.field.low - _DOOR_GIVES, DOOR.field.high + _DOOR_GIVES, 10),
+            GridAxis("gripper", 0.0, GRIPPER_OPENING, 2),
+            GridAxis(_DOOR, DOOR.field.low, DOOR.field.high, 10),
         ),
         unit_range=True,
         events=(
