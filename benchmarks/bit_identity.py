@@ -8,8 +8,8 @@ A version is a commit of this repository or a directory that holds one (`.` for 
 out, with its changes). `run` trains every task for --iterations periods with preset `improved`,
 once in one go and once interrupted before the last period and resumed, and refuses if the two
 differ. `compare` takes two `metrics.csv` or two directories of `run`, and compares cell by cell
-as text: order and formatting count, too. Columns may be renamed (it says which were); columns of
-wall-clock time are skipped. Exit code 0: alike, 1: not alike.
+as text: order and formatting count, too. Columns may be renamed or added (it says which were);
+columns of wall-clock time are skipped. Exit code 0: alike, 1: not alike.
 """
 
 from __future__ import annotations
@@ -99,6 +99,12 @@ def same(one: Path, other: Path) -> bool:
     """Compare two tables column by column and print what differs."""
     (names, rows), (new_names, new_rows) = read(one), read(other)
     print(f"{one} and {other}:")
+    added = [name for name in new_names if name not in names]
+    if len(new_names) > len(names) and set(names) < set(new_names):
+        # The columns of the one are among those of the other: compare these.
+        print(f"  added: {', '.join(added)}")
+        kept = [new_names.index(name) for name in names]
+        new_names, new_rows = names, [[row[k] for k in kept] for row in new_rows]
     shapes = (len(names), len(rows)), (len(new_names), len(new_rows))
     if shapes[0] != shapes[1]:
         print(f"  NOT ALIKE: {shapes[0]} columns and rows against {shapes[1]}")
