@@ -53,12 +53,22 @@ def as_text(result: TrainResult) -> str:
         f"  first {name}: trajectory {first['trajectory']:,}"
         for name, first in result.discoveries.items()
     ]
-    converged = (
-        f"converged after {result.converged_at:,} trajectories"
-        if result.converged_at is not None
-        else f"not converged ({result.evaluation_fraction:.0%} of the last states rewarded)"
-    )
-    return "\n".join([*lines, f"  {converged}"])
+    return "\n".join([*lines, *(f"  {line}" for line in _learned(result))])
+
+
+def _learned(result: TrainResult) -> list[str]:
+    """How far it got: converged or not, or what was explored if nothing was to be learned."""
+    if not result.rewarded:
+        shown = ("entropy", "coverage", "differential_entropy", "covered_cells")
+        figures = [f"{name} {result.metrics[name]:.3g}" for name in shown if name in result.metrics]
+        return [f"explored without a target, {result.refreshes:,} refreshes", ", ".join(figures)]
+    share = f"{result.evaluation_fraction:.0%} of the last states rewarded"
+    lines = [f"not converged ({share})"]
+    if result.converged_at is not None:
+        lines = [f"converged after {result.converged_at:,} trajectories"]
+    if result.converged_at_paper is not None:
+        lines += [f"published criterion met after {result.converged_at_paper:,} trajectories"]
+    return lines
 
 
 def run_train(options: TrainCommand) -> int:

@@ -15,6 +15,7 @@ COLUMNS = (
     "coverage",
     "differential_entropy",
     "covered_cells",
+    "coverage_own_units",
     "refresh",
     "trajectories_to_convergence",
     "trajectories_to_convergence_paper",

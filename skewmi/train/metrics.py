@@ -6,6 +6,8 @@ As published (Skew-Explore and its code), so that curves can be laid beside the 
   states. It lacks the cell area, so it is no entropy of anything: it can exceed log(points).
 * coverage: mean over grid points of exp(-d_i^2 / 2 w^2), with d_i the distance to the nearest
   state ever visited. Points inside walls count, so it cannot reach 1.
+* coverage in own units: the same where a task's axes are scaled to [0, 1], but with d_i in the
+  fields' own units, m and rad together. The published code scales for the entropy alone.
 
 Sound:
 
@@ -115,6 +117,8 @@ class CoverageMetrics:
             grid_points(self.low, self.high, self.counts) if self.columns else np.zeros((0, 0))
         )
         self.distance: Array = np.full(len(self.points), np.inf)
+        # In the fields' own units, where those are not the grid's.
+        self.own_distance: Array | None = self.distance.copy() if task.unit_range else None
         self.visited: NDArray[np.bool_] = np.zeros(len(self.points), dtype=np.bool_)
         self.reachable: NDArray[np.bool_] = np.ones(len(self.points), dtype=np.bool_)
 
@@ -145,6 +149,10 @@ class CoverageMetrics:
         x = self.project(states)
         nearest, _ = cKDTree(x).query(self.points)
         self.distance = np.minimum(self.distance, nearest)
+        if self.own_distance is not None:
+            points = self.points * self.unit + self.offset
+            nearest, _ = cKDTree(states[..., self.columns]).query(points)
+            self.own_distance = np.minimum(self.own_distance, nearest)
         cell = (x - self.low) / self._cell()
         # What is beyond an end by less than half a cell belongs to the last one there: soft stops
         # give way, and what rests on one is a hair beyond it, on either side.
@@ -153,14 +161,18 @@ class CoverageMetrics:
         self.visited[np.ravel_multi_index(tuple(index[inside].T), tuple(self.counts))] = True
 
     def coverage(self) -> dict[str, float]:
-        """Both coverages."""
+        """Those as published, and covered cells."""
         if not self.columns:
             return {}
         reachable = max(int(self.reachable.sum()), 1)
-        return {
-            "coverage": published_coverage(self.distance, self.config.coverage_width),
+        width = self.config.coverage_width
+        metrics = {
+            "coverage": published_coverage(self.distance, width),
             "covered_cells": float((self.visited & self.reachable).sum() / reachable),
         }
+        if self.own_distance is not None:
+            metrics["coverage_own_units"] = published_coverage(self.own_distance, width)
+        return metrics
 
     def entropy(
         self, history: Replay, generator: np.random.Generator, own: np.random.Generator
@@ -185,9 +197,12 @@ class CoverageMetrics:
 
     def state_dict(self) -> State:
         """All that a continuation needs."""
-        return {"distance": self.distance, "visited": self.visited}
+        own = {} if self.own_distance is None else {"own_distance": self.own_distance}
+        return {"distance": self.distance, "visited": self.visited, **own}
 
     def load_state_dict(self, state: State) -> None:
         """Inverse of `state_dict`."""
         self.distance = as_array(state["distance"])
         self.visited = as_array(state["visited"]).astype(np.bool_)
+        if self.own_distance is not None and "own_distance" in state:
+            self.own_distance = as_array(state["own_distance"])

@@ -37,6 +37,8 @@ class TrainResult:
     run_dir: str
     steps: int
     trajectories: int
+    rewarded: bool
+    """Whether the task's reward was paid."""
     refreshes: int
     """Of the exploration."""
     converged_at: int | None
@@ -118,6 +120,7 @@ def _train(
         run_dir=str(run_dir),
         steps=runner.steps,
         trajectories=runner.episodes,
+        rewarded=config.rewarded,
         refreshes=runner.exploration.refreshes,
         converged_at=runner.convergence.at,
         converged_at_paper=runner.convergence.published_at,

@@ -194,6 +194,10 @@ def test_it_is_measured_on_the_published_grid() -> None:
     assert [axis.points for axis in metrics.grid] == [10, 10, 10, 2, 10]
     assert [axis.field for axis in metrics.grid] == [f.name for f in LAYOUT.state_fields]
     assert metrics.unit_range
+    # Its ends are those of the published code: the hand's box, and what fingers and door may do.
+    ends = np.array([(axis.low, axis.high) for axis in metrics.grid]).T
+    np.testing.assert_allclose(ends[:, :3], (ARM.low, ARM.high))
+    np.testing.assert_allclose(ends[0, 3:], 0.0)
     measured = CoverageMetrics(LAYOUT, metrics, MetricsConfig())
     assert len(measured.points) == 20_000
     env = ArmBatch(ARM, 2, num_threads=1)
