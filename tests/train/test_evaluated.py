@@ -1,0 +1,94 @@
+"""Which trajectories tell whether a task is learned, as a run goes on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from train_runs import resumes_alike
+
+from skewmi.errors import ConfigurationError
+from skewmi.policy_io import Ball
+from skewmi.train import runner as runners
+from skewmi.train.config import RolloutConfig
+from skewmi.train.runner import Runner
+
+ITERATION = 10 * 40
+
+
+@pytest.fixture
+def config(corridor_config):
+    rollout = replace(corridor_config.rollout, num_envs=10, evaluation_envs=2)
+    return replace(corridor_config, rollout=rollout)
+
+
+@pytest.fixture
+def make_paid(make_corridor):
+    """The corridor, rewarded wherever one stands but for the far side."""
+
+    def make():
+        env = make_corridor(10)
+        env.layout = replace(env.layout, reward_region=(Ball(("x",), (0.0,), 1.5),))
+        return env
+
+    return make
+
+
+def evaluated(runner: Runner, monkeypatch: pytest.MonkeyPatch, shares: list[float]) -> list[int]:
+    """How many copies each iteration evaluated if those before it ended in the reward so."""
+    counts, collect = [], runners.collect
+
+    def watched(*args, **options):
+        counts.append(options["evaluation"])
+        return collect(*args, **options)
+
+    monkeypatch.setattr(runners, "collect", watched)
+    for share in shares:
+        runner.convergence.latest = share
+        runner.iterate()
+    return counts
+
+
+def test_more_copies_are_evaluated_while_they_end_in_the_reward(
+    config, make_paid, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runner = Runner(config, make_paid())
+    assert evaluated(runner, monkeypatch, [0.0, 0.89, 0.9, 1.0, 0.5]) == [2, 2, 4, 4, 2]
+
+
+@pytest.mark.parametrize(("envs", "share", "most"), [(0, 0.4, 0), (2, 0.0, 2), (3, 0.25, 3)])
+def test_how_many_at_most(config, make_paid, monkeypatch, envs, share, most) -> None:
+    rollout = replace(config.rollout, evaluation_envs=envs, evaluation_share=share)
+    runner = Runner(replace(config, rollout=rollout), make_paid())
+    assert evaluated(runner, monkeypatch, [0.0, 1.0]) == [envs, most]
+    # Without copies that are evaluated, all trajectories count.
+    assert len(runner.convergence.shares) == (envs + most or 20)
+
+
+def test_evaluated_copies_of_one_policy_differ(config, make_paid) -> None:
+    """Even where every episode begins alike, they aim at states that differ."""
+    env = make_paid()
+    reset = env.reset
+
+    def alike(seed=None):
+        reset(seed)
+        env.position[:] = 0.5
+        return env._observe()
+
+    env.reset = alike
+    runner = Runner(replace(config, total_steps=5 * ITERATION), env)
+    for _ in range(5):
+        runner.iterate()
+    assert len(runner.convergence.shares) >= 5 * 2 - 1  # the first have one goal: no reward yet
+
+
+def test_a_run_that_evaluates_more_resumes_alike(tmp_path, config, make_paid) -> None:
+    whole = replace(config, total_steps=4 * ITERATION)
+    resumes_alike(whole, make_paid, tmp_path, 2 * ITERATION)
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.1, 1.0, np.nan])
+def test_shares_that_mean_nothing_are_refused(share: float) -> None:
+    with pytest.raises(ConfigurationError, match="evaluation_share"):
+        RolloutConfig(evaluation_share=share)
