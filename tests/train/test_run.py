@@ -46,7 +46,7 @@ def test_rows_after_the_checkpoint_are_dropped(tmp_path, make_corridor, corridor
     run_train(half, make_corridor(), killed, progress=False)
     # As after a kill between writing the row and the checkpoint, and in the middle of a row.
     with (killed / "metrics.csv").open("a") as file:
-        file.write("800,20,99,0" + ",0" * 17 + "\n1000,2")
+        file.write("800,20,99,0" + ",0" * 21 + "\n1000,2")
     run_train(corridor_config, make_corridor(), killed, resume=True, progress=False)
     assert_same_table(whole, killed)
 
