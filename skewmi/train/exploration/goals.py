@@ -165,10 +165,10 @@ def plan_goals(
 ) -> Array:
     """Goal of every step of a batch of episodes.
 
-    The first of `evaluation` episodes keeps the evaluation goal, and so do the others while there
-    is no rewarded state to keep. The episodes after these start with a draw and,
-    unless that gave a rewarded state, change to another proposal with `switch_probability` at
-    every step: the policy then learns to go from one region to the next, not only from the
+    The first of `evaluation` episodes keeps the evaluation goal, and the others a rewarded state
+    each, or the evaluation goal while there is none. The episodes after these start with a draw
+    and, unless that gave a rewarded state, change to another proposal with `switch_probability`
+    at every step: the policy then learns to go from one region to the next, not only from the
     start.
 
     Returns:
