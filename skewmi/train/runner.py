@@ -152,7 +152,7 @@ class Runner:
         return metrics
 
     def _learn(self, rollout: Rollout, trajectory_term: Array) -> dict[str, float]:
-        self.learner.hurry = self.rewarded_episodes > 0 and self.converged_at is None
+        self.learner.hurry = self.rewarded_episodes > 0 and self.convergence.at is None
         self.learner.observe(rollout, trajectory_term)
         return self.learner.update(self.history, self.exploration, self.generator)
 

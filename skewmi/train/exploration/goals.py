@@ -154,6 +154,19 @@ class GoalSource:
         chosen = self.rewarded[generator.integers(len(self.rewarded), size=count)]
         return np.where(rewarded[:, None], chosen, goals), rewarded
 
+    def evaluation_goals(self, count: int, generator: np.random.Generator) -> Array:
+        """Goals of the episodes that tell whether the task is learned. Shape (count, state_dim).
+
+        The first is the evaluation goal, the others are rewarded states, each another one if there
+        are enough: so the episodes differ even where nothing else is random. While no state was
+        rewarded, nothing is drawn, and all are the evaluation goal.
+        """
+        goals = np.repeat(self.evaluation_goal[None], count, axis=0)
+        others, known = count - 1, len(self.rewarded)
+        if others > 0 and known:
+            goals[1:] = self.rewarded[generator.choice(known, size=others, replace=others > known)]
+        return goals
+
 
 def plan_goals(
     source: GoalSource,
@@ -165,11 +178,10 @@ def plan_goals(
 ) -> Array:
     """Goal of every step of a batch of episodes.
 
-    The first of `evaluation` episodes keeps the evaluation goal, and the others a rewarded state
-    each, or the evaluation goal while there is none. The episodes after these start with a draw
-    and, unless that gave a rewarded state, change to another proposal with `switch_probability`
-    at every step: the policy then learns to go from one region to the next, not only from the
-    start.
+    The first `evaluation` episodes keep what `GoalSource.evaluation_goals` gives. The others start
+    with a draw and, unless that gave a rewarded state, change to another proposal with
+    `switch_probability` at every step: the policy then learns to go from one region to the next,
+    not only from the start.
 
     Returns:
         Shape (num_envs, steps, state_dim).
@@ -183,11 +195,7 @@ def plan_goals(
     # Index of the latest switch at or before every step.
     latest = np.maximum.accumulate(np.where(switch, np.arange(steps), 0), axis=1)
     goals: Array = np.take_along_axis(fresh, latest[:, :, None], axis=1)
-    goals[:evaluation] = source.evaluation_goal
-    others, known = evaluation - 1, len(source.rewarded)
-    if others > 0 and known:
-        chosen = generator.choice(known, size=others, replace=others > known)
-        goals[1:evaluation] = source.rewarded[chosen][:, None]
+    goals[:evaluation] = source.evaluation_goals(evaluation, generator)[:, None]
     return goals
 
 

@@ -120,8 +120,9 @@ class ReturnThenExplore(SkewExplore):
 
     def begin(self, episodes: int, evaluation: int, generator: np.random.Generator) -> None:
         """The first goals; those of evaluation and rewarded states are kept."""
-        goals, kept = self.skewed.source().draw(episodes, generator)
-        goals[:evaluation] = self.skewed.evaluation_goal
+        source = self.skewed.source()
+        goals, kept = source.draw(episodes, generator)
+        goals[:evaluation] = source.evaluation_goals(evaluation, generator)
         kept[:evaluation] = True
         scale = self.skewed.scale
         self._excursions = Excursions(self._excursion_config, scale(goals, weighted=True), kept)

@@ -59,10 +59,10 @@ def test_runner_hurries_between_first_reward_and_convergence(runner: Runner) -> 
 
     runner.learner.observe = watched  # type: ignore[method-assign]
     for rewarded, converged in ((3, None), (3, 20), (7, None)):
-        runner.rewarded_episodes, runner.converged_at = rewarded, converged
+        runner.rewarded_episodes, runner.convergence.at = rewarded, converged
         runner.iterate()
     assert told == [True, False, True]
-    runner.rewarded_episodes, runner.converged_at = 0, None
+    runner.rewarded_episodes, runner.convergence.at = 0, None
     runner.iterate()
     assert told[-1] == (runner.rewarded_episodes > 0)
 
