@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from skewmi.errors import ConfigurationError
+from skewmi.train.exploration.goal_plan import GoalSource, plan_goals
 from skewmi.train.exploration.goals import (
-    GoalSource,
     SkewedGoals,
     SkewedGoalsConfig,
-    plan_goals,
     propose,
     skew_weights,
 )
