@@ -118,6 +118,15 @@ class Convergence:
         """Whether ours holds now."""
         return self._holds(self._count, math.sqrt(self._count))
 
+    def metrics(self) -> dict[str, float]:
+        """What the run's table holds of it: times only of what has happened."""
+        times = {
+            "trajectories_to_convergence": self.at,
+            "trajectories_to_convergence_paper": self.published_at,
+        }
+        met = {name: float(at) for name, at in times.items() if at is not None}
+        return {"evaluation_fraction": self.fraction, **met}
+
     def _holds(self, count: int, divisor: float) -> bool:
         last = self._last(count)
         if len(last) < count or last.mean() < self._fraction - _ROUNDING:

@@ -135,14 +135,11 @@ class Runner:
             "return": float(rewards.sum(1).mean()),
             "rewarded_fraction": float((rewards > 0.0).any(1).mean()),
             "evaluation_return": float(rewards[_counted(rollout)].sum(1).mean()),
-            "evaluation_fraction": self.convergence.fraction,
             "rewarded_episodes": float(self.rewarded_episodes),
             "refresh": float(self.exploration.refreshes),
+            **self.convergence.metrics(),
             **self.coverage.coverage(),
         }
-        for name, at in (("", self.convergence.at), ("_paper", self.convergence.published_at)):
-            if at is not None:
-                metrics[f"trajectories_to_convergence{name}"] = float(at)
         due = self.steps >= self.next_measurement if self.config.rewarded else refreshed
         if due:
             # A stream of its own, that no continuation has to keep.

@@ -1,8 +1,8 @@
 """Goals from a density of visited states skewed towards rare ones (Skew-Fit, arXiv:1903.03698).
 
 What Skew-Explore and its kin have in common: which goals are proposed, and what evaluation aims at;
-which of them an episode gets and when it changes, `goal_plan.py` says. What being near a goal is worth is up to
-the exploration.
+which of them an episode gets and when it changes, `goal_plan.py` says. What being near a goal is
+worth is up to the exploration.
 """
 
 from __future__ import annotations
