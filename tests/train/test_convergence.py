@@ -122,9 +122,7 @@ def test_a_policy_that_fails_in_three_of_ten_is_not_taken_for_done(batch: int, r
     published, ours = found.T
     # 4.5e-6 per window of 50, so at most 0.9 % by the union bound; the seed is fixed.
     assert np.isinf(ours).all()
-    # The published one has been met by all of them, most of them soon.
-    assert np.isfinite(published).all()
-    assert 20 < np.median(published) < 400
+    assert np.isfinite(published).all()  # the published one has been met by all of them
 
 
 def test_the_chance_of_a_window_keeps_the_bar() -> None:
@@ -135,6 +133,18 @@ def test_the_chance_of_a_window_keeps_the_bar() -> None:
     assert 2_000 * at_least(48, 50) < 0.01
     # What ours replaced took nine of ten: one window in seven.
     assert at_least(9, 10) == pytest.approx(0.149, abs=1e-3)
+
+
+def test_ten_successes_in_a_row_prove_little() -> None:
+    """How soon a policy with p = 0.7 has met the published criterion, exactly."""
+    row = np.zeros(10)  # probability of so many successes since the last failure, and no ten yet
+    row[0], met = 1.0, []
+    for _ in range(500):
+        done = 0.7 * row[-1]
+        met.append((met[-1] if met else 0.0) + done)
+        row = np.concatenate(([0.3 * row.sum()], 0.7 * row[:-1]))
+    assert met[81] >= 0.5 > met[80]
+    assert met[499] > 0.985
 
 
 def test_a_policy_that_is_done_is_soon_known() -> None:
