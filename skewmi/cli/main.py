@@ -25,6 +25,8 @@ COMMANDS: dict[str, str] = {
     "export-onnx": "write a run's policy as one self-describing ONNX file",
     "robot": "start a robot server (the simulated YuMi)",
     "deploy": "run an ONNX policy on a robot server",
+    "home": "lead the arm to where its task starts, or to its home pose",
+    "jog": "move the arm by one small step",
     "calibrate": "identify one robot: excite, servo, scene, report, ranges",
     "stop": "bring the arm smoothly to rest",
     "replay": "turn a recording into a Rerun file, or show it live",

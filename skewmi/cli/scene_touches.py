@@ -11,14 +11,15 @@ from skewmi.calibration.contact_watch import FREE_WAY, tip_jacobian
 from skewmi.calibration.finger_contact import TIP
 from skewmi.calibration.scene_faces import SHIFT, TURN, Face, top_of
 from skewmi.cli.scene_shapes import SceneBox
-from skewmi.deploy.motion.joint_path import JointPath, chebyshev_places
+from skewmi.deploy.motion.hand_line import hand_line
+from skewmi.deploy.motion.joint_path import JointPath
 from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.safety.flange_space import CALIBRATION, TOUCH
 from skewmi.deploy.safety.guard import Guard
 from skewmi.deploy.session.open_space import open_space
 from skewmi.deploy.session.touch_plan import PlannedTouch
 from skewmi.deploy.touch_motion import CLOSED
-from skewmi.errors import ConfigurationError, LimitViolationError
+from skewmi.errors import ConfigurationError, KinematicsError, LimitViolationError
 from skewmi.robot_models import yumi
 from skewmi.robot_models.frames import HAND_DOWN, rotation_about
 from skewmi.robot_models.kinematics import ArmKinematics
@@ -45,7 +46,6 @@ _FINGER_WIDTH = CLOSED + yumi.GRIPPER.finger_size[0]
 _FINGER_DEPTH = yumi.GRIPPER.finger_size[1] / 2.0
 _KEPT = 0.008
 """Clearance of the hand to what it does not touch, at the nominal place, m."""
-_NODES = 10
 _LOOKED_AT = 21
 _ALIKE = 0.05
 """Configurations nearer than that to another are not tried, rad."""
@@ -106,8 +106,9 @@ class TouchPlanner:
             axes.append(face.axis)
         if len(set(axes)) < 2:
             raise ConfigurationError(
-                "the hand cannot touch two faces of the box that meet; measure points of it by "
-                "hand (--points), or a marker (--marker)"
+                "the hand cannot touch two faces of the box that meet; if it stands beside the box "
+                "or elsewhere than where the task starts: skewmi home; else measure "
+                "points of the box by hand (--points), or a marker (--marker)"
             )
         return planned
 
@@ -195,21 +196,15 @@ class TouchPlanner:
         return off
 
     def _line(self, q: Array, start: Array, end: Array) -> JointPath:
-        """The joints' path for a straight line of the flange, its orientation kept."""
-        _, rotation = self._arm.forward(q)
-        length = float(np.linalg.norm(end - start))
-        places = chebyshev_places(length, _NODES)
-        rows = []
-        for s in places:
-            position = start + (s / length) * (end - start)
-            result = self._arm.inverse(position, rotation, q, max_iterations=20)
-            if result.position_error > 1e-5 or result.rotation_error > 1e-5:
-                raise ConfigurationError("out of reach")
-            q = result.q
-            if not self._is_mobile(q):
-                raise ConfigurationError("the arm would be stretched, or at the end of a joint")
-            rows.append(q)
-        return JointPath.through(np.array(rows), length)
+        """See `hand_line`; refused where the arm is hardly mobile."""
+        try:
+            return hand_line(self._arm, q, start, end, self._require_mobile)
+        except KinematicsError as error:
+            raise ConfigurationError(str(error)) from error
+
+    def _require_mobile(self, q: Array) -> None:
+        if not self._is_mobile(q):
+            raise ConfigurationError("the arm would be stretched, or at the end of a joint")
 
     def _require_clear(self, touch: PlannedTouch) -> None:
         """Raises ConfigurationError if the arm comes too near something on the way there."""

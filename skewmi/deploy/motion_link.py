@@ -44,6 +44,8 @@ class JointMotionOptions:
     """Plan, and leave the arm where it is."""
     metadata: dict[str, str] = field(default_factory=dict)
     """More for the recording."""
+    node: str = NODE_NAME
+    """Under which name others see it."""
 
 
 @contextmanager
@@ -62,7 +64,7 @@ def robot_link(
             lock_step=options.lock_step,
             zenoh_config=options.zenoh_config,
         )
-        with Link.open(config, NODE_NAME) as link:
+        with Link.open(config, options.node) as link:
             link.wait_for_robot(5.0)
             yield link, config
 

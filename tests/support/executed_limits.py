@@ -24,7 +24,12 @@ TOLERANCE = 0.005
 
 def start_calibration(robot: str, *arguments: str) -> subprocess.Popen[bytes]:
     """`skewmi calibrate` with these, on a running robot server, in a process of its own."""
-    command = child_command("-m", "skewmi.cli.main", "calibrate", *arguments, "--connect", robot)
+    return start_command(robot, "calibrate", *arguments)
+
+
+def start_command(robot: str, *arguments: str) -> subprocess.Popen[bytes]:
+    """`skewmi` with these, on a running robot server, in a process of its own."""
+    command = child_command("-m", "skewmi.cli.main", *arguments, "--connect", robot)
     return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
 
 

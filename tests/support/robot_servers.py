@@ -50,12 +50,14 @@ def description(**changes: Any) -> RobotDescription:
 
 
 @contextmanager
-def robot_in_a_thread(*, lock_step: bool = False) -> Iterator[str]:
+def robot_in_a_thread(
+    *, lock_step: bool = False, start_configuration: tuple[float, ...] | None = None
+) -> Iterator[str]:
     """A robot server in this process, so that a test can get at its parts."""
     locator = f"tcp/127.0.0.1:{free_port()}"
     config = TransportConfig.for_robot(locator, lock_step=lock_step)
     stop, ready = threading.Event(), threading.Event()
-    options = BackendOptions(lock_step=lock_step)
+    options = BackendOptions(lock_step=lock_step, start_configuration=start_configuration)
     thread = threading.Thread(
         target=serve_robot, args=("sim", options, config, LAB, stop, lambda _: ready.set())
     )

@@ -45,7 +45,8 @@ def check_scene_is_shut(scene: Scene) -> None:
         if not np.abs(position) <= most:
             raise CommandRefusedError(
                 f"{name} is at {position:.3g} {unit}; no more than {most:g} {unit} from shut is "
-                "allowed outside of the task's workspace: shut it, or reset the scene"
+                "allowed outside of the task's workspace: shut it, or reset the scene; a hand that "
+                "is in the way is led out by `skewmi jog --workspace task`"
             )
 
 

@@ -19,6 +19,7 @@ from skewmi.deploy.safety.limits import (
     LimitUsage,
 )
 from skewmi.deploy.safety.validation import LimitCheck
+from skewmi.errors import LimitViolationError
 from skewmi.policy_io import Workspace
 from skewmi.robot_models.kinematics import ArmKinematics
 from skewmi.robot_models.limits import JointLimits
@@ -107,6 +108,30 @@ class SpaceChecks:
     def stages(self) -> Sequence[tuple[str, Check]]:
         """Both checks with the names of their stages."""
         return (("check", self._check), ("guard", self._guard))
+
+    def check_way(self, q: Array) -> None:
+        """Look at a way before any of it is followed: where it leads, and what is near it.
+
+        Args:
+            q: Configurations in their order, near each other, rad. Shape (n, 7).
+
+        Raises:
+            LimitViolationError: It leads out of the space or too low in it, beyond what a joint
+                reaches, or through something.
+        """
+        beyond = np.maximum(self.limits.position_lower - q, q - self.limits.position_upper)
+        k, joint = np.unravel_index(int(beyond.argmax()), beyond.shape)
+        if beyond[k, joint] > 0.0:
+            below = q[k, joint] < self.limits.position_lower[joint]
+            bound = self.limits.position_lower if below else self.limits.position_upper
+            raise LimitViolationError(
+                "joint position, rad",
+                float(q[k, joint]),
+                float(bound[joint]),
+                f"joint index {joint}",
+            )
+        self._check.check_way(q)
+        self.guard.clearance.check(q)
 
     def _guard(self, samples: JointTrajectory, previous: JointPoint, earlier: Array) -> None:
         del previous, earlier

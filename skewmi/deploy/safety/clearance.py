@@ -25,6 +25,10 @@ from skewmi.trajectory import Array
 
 TABLE_THICKNESS = 0.2
 
+SLACK = 1e-4
+"""How much nearer still what is too near already may come, m: a line of the hand is exact to a
+tenth of that."""
+
 
 class ClearanceCheck:
     """Watches the distances of one arm's links; everything else stands still.
@@ -53,7 +57,22 @@ class ClearanceCheck:
         self._add_obstacles(obstacles)
         self._add_pairs(torso)
         self._shape_data = pinocchio.GeometryData(self._shapes)
+        self._required = np.full(len(self._group), clearance)
+        """Of each pair, m."""
         self._measure_at(np.zeros(model.nq))
+
+    def permit_leaving(self, q: Array) -> None:
+        """Let the arm out of where it stands too near something, however it got there.
+
+        From now on two shapes that are nearer to each other at `q` than the clearance may be as
+        near as that, but not nearer (by more than `SLACK`); all others keep the clearance.
+
+        Args:
+            q: Where the arm rests, rad. Shape (7,).
+        """
+        distances = self._measure(q)
+        near = distances < self._clearance
+        self._required = np.where(near, distances - SLACK, self._clearance)
 
     def check(self, q: Array) -> float:
         """Accept configurations or raise.
@@ -80,13 +99,16 @@ class ClearanceCheck:
             distances = self._measure(sample, near)
             far = float(bounds[~close].min(initial=np.inf))
             clearance = min(clearance, far, float(distances.min(initial=np.inf)))
-            if clearance < self._clearance:
-                pair = self._shapes.collisionPairs[int(near[int(np.argmin(distances))])]
+            too_near = distances < self._required[near]
+            if too_near.any():
+                worst = int(np.argmin(np.where(too_near, distances, np.inf)))
+                pair = self._shapes.collisionPairs[int(near[worst])]
                 first, second = (
                     self._shapes.geometryObjects[i].name for i in (pair.first, pair.second)
                 )
+                bound = float(self._required[near[worst]])
                 raise LimitViolationError(
-                    "clearance, m", clearance, self._clearance, f"{first} to {second}"
+                    "clearance, m", float(distances[worst]), bound, f"{first} to {second}"
                 )
         return clearance
 

@@ -208,6 +208,20 @@ class SpaceCheck:
         position, rotation = self._forward(samples.q)
         if self._slow:
             usage = usage.merged(self._check_tips(position, rotation))
+        return usage.merged(self._check_places(position, rotation))
+
+    def check_way(self, q: Array) -> LimitUsage:
+        """Accept a way or raise: where it leads alone, no times.
+
+        Args:
+            q: Configurations in their order, near each other, rad. Shape (n, 7).
+
+        Raises:
+            LimitViolationError: The hand leaves the space, or comes too low in it.
+        """
+        return self._check_places(*self._forward(q))
+
+    def _check_places(self, position: Array, rotation: Array) -> LimitUsage:
         outside = np.maximum(self._low - position, position - self._high)
         excess = outside.max(axis=1)
         began_inside = bool(excess[0] <= self._tolerance + _ROUNDING)
@@ -222,7 +236,7 @@ class SpaceCheck:
         self._check_height(position, rotation, inside, began_inside=began_inside)
         middle, half = (self._low + self._high) / 2.0, (self._high - self._low) / 2.0
         use = (np.abs(position - middle) / half)[entered].max(initial=0.0)
-        return usage.merged(LimitUsage(workspace=float(use)))
+        return LimitUsage(workspace=float(use))
 
     def _check_tips(self, position: Array, rotation: Array) -> LimitUsage:
         """A hand that turns about its flange moves its fingers, too."""

@@ -13,10 +13,10 @@ import numpy as np
 
 from skewmi.deploy.motion.path_motion import PathMotion
 from skewmi.deploy.motion.start_motion import StartMotion
-from skewmi.deploy.realtime import hot_loop
 from skewmi.deploy.safety.checks import Check
 from skewmi.deploy.session.approach import Approach
 from skewmi.deploy.session.arm_state import ArmState
+from skewmi.deploy.session.carried_out import carried_out
 from skewmi.deploy.session.control_loop import ControlLoop
 from skewmi.deploy.session.interrupt import check_interrupt
 from skewmi.deploy.session.observer import Observer
@@ -27,7 +27,7 @@ from skewmi.deploy.session.states import SessionEvent
 from skewmi.deploy.session.status import SessionStatus
 from skewmi.deploy.session.stream import ChunkStream
 from skewmi.deploy.session.timing import BUSY_ADVICE
-from skewmi.errors import CommandRefusedError, SkewmiError, TransportError
+from skewmi.errors import CommandRefusedError
 from skewmi.policy_io import Array
 from skewmi.robot_models.limits import JointLimits
 from skewmi.trajectory import CYCLE_TICKS, JointPoint, JointTrajectory
@@ -90,26 +90,14 @@ class JointRun:
             Why it was stopped, if it was; nothing if it was not. Whatever ends it, nothing has been
             sent since.
         """
-        stops: list[str] = []
-        try:
-            with hot_loop(priority=not self._lock_step):
-                self._carry_out(trajectory)
-        except TransportError as error:
-            stops.append(str(error))
-            self._status.fire(SessionEvent.FAULT, str(error))
-        except SkewmiError as error:
-            stops.append(str(error))
-            self._status.fire(SessionEvent.STOP, str(error))
-        else:
-            self._status.fire(SessionEvent.TIME_OVER, "the motion is over")
-        try:
-            self._robot.disarm()
-        except SkewmiError as error:
-            stops.append(str(error))
-            self._status.fire(SessionEvent.FAULT, str(error))
-        self._status.fire(SessionEvent.AT_REST, "after a motion of the joints")
-        self._status.fire(SessionEvent.FINISH, "the run is over")
-        return stops
+        return carried_out(
+            lambda: self._carry_out(trajectory),
+            self._robot,
+            self._status,
+            over="the motion is over",
+            after="after a motion of the joints",
+            lock_step=self._lock_step,
+        )
 
     def _carry_out(self, trajectory: JointTrajectory) -> None:
         """Raises SkewmiError for whatever ends it early."""

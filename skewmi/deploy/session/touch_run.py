@@ -13,15 +13,14 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from skewmi.deploy.motion.joint_path import JointPath
-from skewmi.deploy.motion.path_motion import PathMotion
-from skewmi.deploy.realtime import hot_loop
 from skewmi.deploy.safety.checks import SpaceChecks
 from skewmi.deploy.session.arm_state import ArmState
+from skewmi.deploy.session.carried_out import carried_out
 from skewmi.deploy.session.control_loop import ControlLoop
 from skewmi.deploy.session.guarded_motion import GuardedMotion, HoldStill, Watch
 from skewmi.deploy.session.interrupt import check_interrupt
-from skewmi.deploy.session.joint_run import KnownMotion
 from skewmi.deploy.session.observer import Observer
+from skewmi.deploy.session.path_follower import ATTEMPTS, PathFollower
 from skewmi.deploy.session.readiness import wait_until_ready
 from skewmi.deploy.session.refused import LateChunkError
 from skewmi.deploy.session.robot_client import RobotClient
@@ -35,18 +34,12 @@ from skewmi.deploy.session.touch_plan import (
     TouchReading,
     TouchSettings,
 )
-from skewmi.errors import CommandRefusedError, SkewmiError, TransportError
+from skewmi.errors import CommandRefusedError
 from skewmi.policy_io import Array
 from skewmi.trajectory import JointPoint, JointTrajectory
 
-ATTEMPTS = 20
-"""How often a motion is taken up again where it stopped because a chunk came too late."""
 CLOSING_NS = 1_500_000_000
 """How long closing the fingers may take, ns."""
-RESTED_NS = 60_000_000
-"""After what the robot server knows that the arm rests, ns: several equal samples."""
-SPEED_SHARE = 0.95
-"""Part of a workspace's speed that is used."""
 _SPACING = 0.02
 """Of the places of a path that are looked at beforehand, as a part of it."""
 
@@ -88,6 +81,9 @@ class TouchRun:
         self._checks, self._settings, self._watch = checks, settings, watch
         self._status, self._stop, self._tell = status, stop, tell
         self._lock_step = lock_step
+        self._way = PathFollower(
+            robot, observer, stream, loop, checks, settings.limits, settings.tool_z, status
+        )
         self.readings: list[TouchReading] = []
         self.largest_force = 0.0
 
@@ -97,54 +93,41 @@ class TouchRun:
         Returns:
             Why it was stopped, if it was. Whatever ends it, nothing has been sent since.
         """
-        stops: list[str] = []
-        try:
-            with hot_loop(priority=not self._lock_step):
-                self._carry_out(touches)
-        except TransportError as error:
-            stops.append(str(error))
-            self._status.fire(SessionEvent.FAULT, str(error))
-        except SkewmiError as error:
-            stops.append(str(error))
-            self._status.fire(SessionEvent.STOP, str(error))
-        else:
-            self._status.fire(SessionEvent.TIME_OVER, "everything is touched")
-        try:
-            self._robot.disarm()
-        except SkewmiError as error:
-            stops.append(str(error))
-            self._status.fire(SessionEvent.FAULT, str(error))
-        self._status.fire(SessionEvent.AT_REST, "after touching")
-        self._status.fire(SessionEvent.FINISH, "the run is over")
-        return stops
+        return carried_out(
+            lambda: self._carry_out(touches),
+            self._robot,
+            self._status,
+            over="everything is touched",
+            after="after touching",
+            lock_step=self._lock_step,
+        )
 
     def _carry_out(self, touches: Sequence[PlannedTouch]) -> None:
         """Raises SkewmiError for whatever ends it early."""
         check_interrupt(self._stop)
         self._robot.meet()
         wait_until_ready(self._robot, self._stop, dry_run=False)
-        before = self._resting()
+        before = self._way.take_place()
         self._look_at(touches, before)
-        state = self._enter(self._settings.above)
-        self._q = self._resting()
-        self._look_at(touches[:1], self._q)
+        state = self._way.enter(self._settings.above)
+        self._look_at(touches[:1], self._way.take_place())
         self._status.fire(SessionEvent.READY, "every way is free")
         self._robot.open_gripper(self._settings.opening, state.stamp_ns)
-        state = self._loop.run(HoldStill(self._stream, CLOSING_NS), self._q, state)
+        state = self._loop.run(HoldStill(self._stream, CLOSING_NS), self._way.q, state)
         for number, touch in enumerate(touches, 1):
-            way = JointPath.line(self._q, touch.lower.at(0.0))
-            state = self._move(way, 0.0, way.length, state)
+            way = JointPath.line(self._way.q, touch.lower.at(0.0))
+            state = self._way.move(way, 0.0, way.length, state)
             if number == 1:
                 self._status.fire(SessionEvent.AT_START, "over the first touch")
             self._tell(f"touch {number} of {len(touches)}: face {touch.face}")
             state = self._touch(touch, state)
-        way = JointPath.line(self._q, before)
+        way = JointPath.line(self._way.q, before)
         self._tell("moving back")
-        self._move(way, 0.0, way.length, state)
+        self._way.move(way, 0.0, way.length, state)
 
     def _touch(self, touch: PlannedTouch, state: ArmState) -> ArmState:
-        state = self._move(touch.lower, 0.0, touch.lower.length, state)
-        state = self._enter(self._settings.beside, state)
+        state = self._way.move(touch.lower, 0.0, touch.lower.length, state)
+        state = self._way.enter(self._settings.beside, state)
         state, met = self._guarded(touch.down, np.array([0.0, 0.0, -1.0]), None, state)
         if met.touched:
             raise CommandRefusedError(
@@ -164,34 +147,10 @@ class TouchRun:
             TouchReading(touch, q.mean(axis=0), q.std(axis=0), opening, met.peak_force)
         )
         self._tell(f"touched the {touch.face} face with {met.peak_force:.1f} N")
-        state = self._move(touch.creep, touch.creep.nearest(self._q), 0.0, state)
-        state = self._move(touch.down, touch.down.length, 0.0, state)
-        state = self._enter(self._settings.above, state)
-        return self._move(touch.lower, touch.lower.length, 0.0, state)
-
-    def _enter(self, workspace: str, state: ArmState | None = None) -> ArmState:
-        """Change the workspace, at rest."""
-        if state is not None:
-            self._loop.run(HoldStill(self._stream, RESTED_NS), self._q, state)
-        self._robot.arm(workspace=workspace)
-        self._checks.now = workspace
-        return self._observer.fresh_state()
-
-    def _move(self, path: JointPath, s: float, s_end: float, state: ArmState) -> ArmState:
-        """Follow a path from rest to rest."""
-        for attempt in range(ATTEMPTS):
-            s = s if not attempt else path.nearest(self._q)
-            motion = PathMotion(self._motion(path, s, s_end, None), self._settings.limits)
-            way = KnownMotion(motion, self._stream)
-            try:
-                state = self._loop.run(way, self._q, state)
-                if not way.late:
-                    self._q = motion.trajectory.q[-1]
-                    return state
-                self._q, state = self._loop.coast(state)
-            except LateChunkError:
-                self._q, state = self._loop.recover()
-        raise CommandRefusedError(f"{ATTEMPTS} motions came too late; {BUSY_ADVICE}")
+        state = self._way.move(touch.creep, touch.creep.nearest(self._way.q), 0.0, state)
+        state = self._way.move(touch.down, touch.down.length, 0.0, state)
+        state = self._way.enter(self._settings.above, state)
+        return self._way.move(touch.lower, touch.lower.length, 0.0, state)
 
     def _guarded(
         self, path: JointPath, direction: Array, speed: float | None, state: ArmState
@@ -199,37 +158,23 @@ class TouchRun:
         """Follow a path until something is met."""
         s = 0.0
         for attempt in range(ATTEMPTS):
-            s = s if not attempt else path.nearest(self._q)
-            motion = PathMotion(self._motion(path, s, path.length, speed), self._settings.limits)
+            s = s if not attempt else path.nearest(self._way.q)
+            motion = self._way.motion(path, s, path.length, speed)
             guarded = GuardedMotion(
                 motion, direction, self._watch, self._stream, self._settings.force_limit
             )
             try:
-                state = self._loop.run(guarded, self._q, state)
+                state = self._loop.run(guarded, self._way.q, state)
                 if not guarded.late:
                     assert self._stream.sent is not None
-                    self._q = self._stream.sent.trajectory.q[-1]
+                    self._way.q = self._stream.sent.trajectory.q[-1]
                     return state, guarded
-                self._q, state = self._loop.coast(state)
+                state = self._way.coast(state)
             except LateChunkError:
-                self._q, state = self._loop.recover()
+                state = self._way.recover()
             finally:
                 self.largest_force = max(self.largest_force, guarded.peak_force)
         raise CommandRefusedError(f"{ATTEMPTS} motions came too late; {BUSY_ADVICE}")
-
-    def _motion(
-        self, path: JointPath, s: float, s_end: float, speed: float | None
-    ) -> JointTrajectory:
-        settings = self._settings
-        fastest = SPEED_SHARE * settings.speeds[self._checks.now]
-        chosen = fastest if speed is None else min(speed, fastest)
-        return path.motion(s, s_end, settings.limits, chosen, settings.tool_z, self._q)
-
-    def _resting(self) -> Array:
-        """Where the robot server holds the arm, rad."""
-        description = self._robot.describe()
-        self._status.clock_ns = description.clock_ns
-        return np.array(description.commanded_position)
 
     def _look_at(self, touches: Sequence[PlannedTouch], before: Array) -> None:
         """Look at every path before any of it is followed.
