@@ -106,9 +106,9 @@ class ClearanceCheck:
                 first, second = (
                     self._shapes.geometryObjects[i].name for i in (pair.first, pair.second)
                 )
-                bound = float(self._required[near[worst]])
+                required = float(self._required[near[worst]])
                 raise LimitViolationError(
-                    "clearance, m", float(distances[worst]), bound, f"{first} to {second}"
+                    "clearance, m", float(distances[worst]), required, f"{first} to {second}"
                 )
         return clearance
 
