@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
+
 
 class SkewmiError(Exception):
     """Base of every error that a user of the package can cause or has to handle.
@@ -64,3 +67,9 @@ class TransportError(SkewmiError):
 
 class CommandRefusedError(SkewmiError):
     """The robot server refused a command; the message gives its reason."""
+
+
+def did_you_mean(given: str, known: Iterable[str]) -> str:
+    """The end of a message about an unknown name: what was probably meant; empty if nothing was."""
+    near = difflib.get_close_matches(given.lower(), list(known), n=1, cutoff=0.6)
+    return f"; did you mean {near[0]!r}?" if near else ""

@@ -36,13 +36,18 @@ from skewmi.deploy.wire.domain import ros_domain
 from skewmi.outputs import check_output
 from skewmi.smoothness import LIMITS
 
+BUNDLED = ", ".join(policies.bundled()) or "there is none"
+
 
 @dataclass(frozen=True)
 class DeployCommand:
     """Options of `skewmi deploy`."""
 
-    policy: Annotated[Path, tyro.conf.Positional]
-    """Policy file written by `skewmi export-onnx`."""
+    policy: Annotated[
+        Path,
+        tyro.conf.Positional,
+        tyro.conf.arg(help=f"Policy file of `skewmi export-onnx`, or a bundled one: {BUNDLED}."),
+    ]
     robot: RobotName = "sim"
     """Which robot to start for this run, unless --connect or --zenoh-config names one that runs."""
     connect: str | None = None

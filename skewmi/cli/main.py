@@ -11,11 +11,13 @@ import os
 import sys
 import textwrap
 from contextlib import suppress
+from types import ModuleType
+from typing import Any
 
 import tyro
 
 from skewmi import __version__
-from skewmi.errors import NotFoundError, SkewmiError
+from skewmi.errors import NotFoundError, SkewmiError, did_you_mean
 
 COMMANDS: dict[str, str] = {
     "demo": "train briefly, export, deploy on the simulated YuMi, write replay and picture",
@@ -31,6 +33,10 @@ COMMANDS: dict[str, str] = {
     "stop": "bring the arm smoothly to rest",
     "replay": "turn a recording into a Rerun file, or show it live",
     "film": "draw an episode of a recording: film and strip of frames",
+    "list": "tasks, policies, robots, presets and variations by name",
+    "info": "what a policy, recording, calibration or run is",
+    "model": "the robot model as URDF or MJCF",
+    "completion": "completion of commands and options in bash, zsh or fish",
     "certificates": "certificates and Zenoh configurations for a link between machines",
     "doctor": "what works on this machine",
 }
@@ -63,7 +69,10 @@ def run_command(name: str, arguments: list[str]) -> int:
         SkewmiError: Whatever the command raises about its input.
     """
     if name not in COMMANDS:
-        raise NotFoundError(f"unknown command {name!r}; commands are {', '.join(COMMANDS)}")
+        raise NotFoundError(
+            f"unknown command {name!r}; commands are {', '.join(COMMANDS)}"
+            f"{did_you_mean(name, COMMANDS)}"
+        )
     _load_mujoco_safely()
     module_name = name.replace("-", "_")
     try:
@@ -74,7 +83,7 @@ def run_command(name: str, arguments: list[str]) -> int:
         raise NotFoundError(
             f"`skewmi {name}` needs the package {error.name!r}: pip install 'skewmi[train]'"
         ) from error
-    options_type = getattr(module, "".join(part.title() for part in name.split("-")) + "Command")
+    options_type = options_of(name, module)
     run = getattr(module, f"run_{module_name}")
     arguments = [_present_name(argument) for argument in arguments]
     description = textwrap.dedent(module.__doc__ or "")
@@ -88,6 +97,11 @@ def run_command(name: str, arguments: list[str]) -> int:
         default=defaults(arguments) if defaults else tyro.MISSING_NONPROP,
     )
     return int(run(options))
+
+
+def options_of(name: str, module: ModuleType) -> Any:
+    """The dataclass of a command's options, in its module."""
+    return getattr(module, "".join(part.title() for part in name.split("-")) + "Command")
 
 
 def _present_name(argument: str) -> str:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from skewmi import policies
 from skewmi.batch_env import BatchEnv
 from skewmi.cli import numbers
-from skewmi.errors import ConfigurationError, NotFoundError
+from skewmi.errors import ConfigurationError, NotFoundError, did_you_mean
 from skewmi.policy_io import Policy, PolicyLayout
 
 if TYPE_CHECKING:
@@ -57,6 +57,7 @@ def load_policy_from(path: Path, which: Which) -> Policy:
         raise NotFoundError(
             f"{path} does not exist; give a run directory of skewmi train, an ONNX file of "
             f"skewmi export-onnx, or the name of a bundled policy ({names})"
+            f"{did_you_mean(str(path), policies.bundled())}"
         )
     from skewmi.deploy.policy import OnnxPolicy
 

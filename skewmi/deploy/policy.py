@@ -11,7 +11,7 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from skewmi import policies, policy_file
-from skewmi.errors import LayoutMismatchError, PolicyFileError
+from skewmi.errors import LayoutMismatchError, PolicyFileError, did_you_mean
 from skewmi.policy_io import Array, PolicyLayout
 
 MAX_FILE_BYTES = 256 * 2**20
@@ -186,7 +186,11 @@ def _read(path: Path) -> bytes:
         return path.read_bytes()
     except OSError as error:
         reason = error.strerror or error
-        raise PolicyFileError(f"cannot read the policy file {path}: {reason}") from error
+        names = policies.bundled()
+        raise PolicyFileError(
+            f"cannot read the policy file {path}: {reason}; bundled policies are "
+            f"{', '.join(names) or 'none'}{did_you_mean(str(path), names)}"
+        ) from error
 
 
 def _check_signature(session: Any, layout: PolicyLayout, name: str) -> None:

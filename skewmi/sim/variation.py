@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from skewmi.errors import ConfigurationError, NotFoundError
+from skewmi.errors import ConfigurationError, NotFoundError, did_you_mean
 from skewmi.policy_io import Array
 from skewmi.yaml_text import parse_yaml
 
@@ -184,6 +184,7 @@ class Variations:
             names = ", ".join(bundled) or "there are none"
             raise NotFoundError(
                 f"no variation file {path}; give a YAML file or a bundled name: {names}"
+                f"{did_you_mean(str(path), bundled)}"
             ) from error
         except (OSError, UnicodeDecodeError) as error:
             raise ConfigurationError(f"variation file {path} cannot be read: {error}") from error

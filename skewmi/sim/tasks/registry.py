@@ -10,7 +10,7 @@ from importlib.metadata import entry_points
 from typing import Any, TypeVar
 
 from skewmi.batch_env import BatchEnv
-from skewmi.errors import ConfigurationError, NotFoundError
+from skewmi.errors import ConfigurationError, NotFoundError, did_you_mean
 from skewmi.policy_io import PolicyLayout
 from skewmi.sim.task_spec import TaskSpec
 
@@ -79,7 +79,9 @@ def find(name: str) -> TaskSpec:
     ours = (_registered[name],) if name in _registered else ()
     places = tuple(dict.fromkeys((*ours, *_of_other_packages().get(name, ()))))
     if not places:
-        raise NotFoundError(f"no task {name!r}; tasks are {', '.join(names())}")
+        raise NotFoundError(
+            f"no task {name!r}; tasks are {', '.join(names())}{did_you_mean(name, names())}"
+        )
     if len(places) > 1:
         raise ConfigurationError(
             f"{len(places)} tasks are called {name!r}: {', '.join(places)}; uninstall the packages "

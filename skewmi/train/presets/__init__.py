@@ -11,7 +11,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Mapping
 
-from skewmi.errors import ConfigurationError, NotFoundError
+from skewmi.errors import ConfigurationError, NotFoundError, did_you_mean
 from skewmi.train.config import TrainConfig
 from skewmi.train.presets import door_open, open_press_close, point_maze
 from skewmi.train.registry import EXPLORATIONS, LEARNERS, default_config
@@ -68,6 +68,7 @@ def preset(
         raise NotFoundError(
             f"no preset {name!r} for task {task!r}; presets are "
             + ", ".join(f"{task}/{known_name}" for known_name in known)
+            + did_you_mean(name, known)
         )
     return _load(task, elsewhere[name]) if elsewhere else default_preset(task)
 
