@@ -19,7 +19,6 @@ from skewmi.cli.policies import (
     Which,
     load_policy_from,
     make_env,
-    progress_bar,
     task_options,
 )
 from skewmi.cli.task_flags import OptionalTaskName, calibration_option, variation_option
@@ -28,6 +27,7 @@ from skewmi.evaluation.agents import RandomAgent, ZeroAgent
 from skewmi.evaluation.contact import contact_text, recorder_for, summarise_contact
 from skewmi.evaluation.rollout import run_episodes, summarise
 from skewmi.policy_io import Policy
+from skewmi.progress import progress
 
 
 @dataclass(frozen=True)
@@ -89,9 +89,9 @@ def run_evaluate(options: EvaluateCommand) -> int:
         policy = ZeroAgent(env.layout) if zero else RandomAgent(env.layout, options.seed)
     contact = recorder_for(env)
     started = time.perf_counter()
-    with progress_bar(f"evaluating {task}") as progress:
+    with progress(f"evaluating {task}", "steps") as bar:
         episodes = run_episodes(
-            policy, env, options.episodes, options.seed, progress=progress, observer=contact
+            policy, env, options.episodes, options.seed, progress=bar, observer=contact
         )
     wall = time.perf_counter() - started
     figures: dict[str, Any] = {

@@ -19,10 +19,11 @@ import numpy as np
 import tyro
 
 from skewmi.batch_env import BatchEnv
-from skewmi.cli.policies import Which, load_run, make_env, progress_bar, task_options
+from skewmi.cli.policies import Which, load_run, make_env, task_options
 from skewmi.errors import CheckpointError, NotFoundError, VerificationError
 from skewmi.evaluation.rollout import run_episodes, summarise
 from skewmi.outputs import check_output
+from skewmi.progress import progress
 
 if TYPE_CHECKING:
     from skewmi.train.policy import TorchPolicy
@@ -75,8 +76,8 @@ def run_export_onnx(options: ExportOnnxCommand) -> int:
         options.seed,
         task_options(layout.task, layout, options.option),
     )
-    with progress_bar("recording observations with torch") as progress:
-        recorded = run_episodes(policy, env, options.episodes, options.seed, progress=progress)
+    with progress("recording observations with torch", "steps") as bar:
+        recorded = run_episodes(policy, env, options.episodes, options.seed, progress=bar)
     by_torch = summarise(recorded)
     metadata = {
         **from_run,
@@ -88,9 +89,9 @@ def run_export_onnx(options: ExportOnnxCommand) -> int:
     except VerificationError as error:
         print(f"skewmi export-onnx: {error}", file=sys.stderr)
         return 1
-    with progress_bar("running the file") as progress:
+    with progress("running the file", "steps") as bar:
         written = OnnxPolicy.load(options.out)
-        repeated = run_episodes(written, env, options.episodes, options.seed, progress=progress)
+        repeated = run_episodes(written, env, options.episodes, options.seed, progress=bar)
     by_onnx = summarise(repeated)
     figures: dict[str, Any] = {
         "path": str(report.path),

@@ -28,6 +28,7 @@ from skewmi.evaluation.film import (
     split_episodes,
 )
 from skewmi.outputs import check_output
+from skewmi.progress import progress
 from skewmi.sim import tasks
 
 MIN_RATE, MAX_RATE = 0.001, 1000.0
@@ -91,14 +92,16 @@ def run_film(options: FilmCommand) -> int:
     start, stop = episodes[options.episode - 1]
     times = np.arange(start, stop + 1, round(1e9 / options.rate), dtype=np.int64)
     shown = [topics.YUMI_JOINT_STATES, *([topics.YUMI_SCENE_STATES] if spec.arm.joints else [])]
-    frames = draw(
-        spec.arm,
-        [joint_series(recording, topic) for topic in shown],
-        times,
-        width=options.width,
-        height=options.height,
-        camera=options.camera,
-    )
+    with progress("drawing", "frames") as bar:
+        frames = draw(
+            spec.arm,
+            [joint_series(recording, topic) for topic in shown],
+            times,
+            width=options.width,
+            height=options.height,
+            camera=options.camera,
+            progress=bar,
+        )
 
     from skewmi.sim import rendering
 

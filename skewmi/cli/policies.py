@@ -1,11 +1,8 @@
-"""What several commands need: a policy from a path, the environment it was made for, a bar."""
+"""What several commands need: a policy from a path, and the environment it was made for."""
 
 from __future__ import annotations
 
 import json
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -134,18 +131,3 @@ def make_env(
     check_numbers(num_envs, episodes, num_threads, seed)
     n = num_envs or min(episodes, MAX_BATCH)
     return tasks.make_batch(task, n, num_threads=num_threads, seed=seed, **options)
-
-
-@contextmanager
-def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
-    """A bar on standard error, drawn only for people: nothing when it is not a terminal.
-
-    Yields a function of (steps done, steps in all).
-    """
-    from rich.console import Console
-    from rich.progress import Progress
-
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not sys.stderr.isatty()) as progress:
-        bar = progress.add_task(what, total=None)
-        yield lambda done, total: progress.update(bar, completed=done, total=total)

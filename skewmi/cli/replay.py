@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.console import Console
 
 from skewmi.errors import ConfigurationError
+from skewmi.progress import progress
 from skewmi.smoothness import LIMITS
 
 
@@ -44,11 +44,11 @@ def run_replay(options: ReplayCommand) -> int:
     from skewmi.deploy.replay.replay import show_replay, write_replay
 
     out = options.out or options.recording.with_suffix(".rrd")
-    with Console(stderr=True).status(f"reading {options.recording}"):
+    with progress(str(options.recording.name), "parts") as bar:
         if options.live:
-            report = show_replay(options.recording)
+            report = show_replay(options.recording, bar)
         else:
-            report = write_replay(options.recording, out, overwrite=options.overwrite)
+            report = write_replay(options.recording, out, overwrite=options.overwrite, progress=bar)
     if options.json:
         written = None if options.live else str(out)
         print(json.dumps({"rrd": written, **asdict(report)}))

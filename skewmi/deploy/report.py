@@ -14,6 +14,23 @@ from skewmi.smoothness import LIMITS, name_of
 
 
 @dataclass(frozen=True)
+class RunProgress:
+    """How far a run is."""
+
+    state: str
+    """Of the session."""
+    episode: int
+    """From 1."""
+    episodes: int
+    step: int
+    """Control steps of the episode so far."""
+    steps: int
+    """That it may have."""
+    missed_cycles: int
+    """In which no chunk could be sent in time."""
+
+
+@dataclass(frozen=True)
 class EpisodeReport:
     """One episode.
 

@@ -17,6 +17,7 @@ from skewmi.deploy.replay.live import LiveView
 from skewmi.deploy.report import DeployReport
 from skewmi.deploy.robot.description import SCENE_REQUEST, RobotDescription, limit_values
 from skewmi.deploy.robot.process import spawn_robot
+from skewmi.deploy.run_watch import RunWatch
 from skewmi.deploy.session.connect import connect
 from skewmi.deploy.session.pace import planning_limits
 from skewmi.deploy.session.preflight import require_workspace
@@ -38,6 +39,7 @@ def run_deploy(
     *,
     stop: threading.Event | None = None,
     on_event: Callable[[str], None] | None = None,
+    watch: RunWatch | None = None,
 ) -> DeployReport:
     """Run episodes of a policy on a robot server.
 
@@ -46,6 +48,7 @@ def run_deploy(
         options: Which robot, how many episodes, how fast.
         stop: Set it from anywhere to bring the arm smoothly to rest and end the run.
         on_event: Told in words what happens, for progress.
+        watch: Can tell at any time, from any thread, how far the run is.
 
     Returns:
         What happened. Trouble during an episode is in the report, not raised.
@@ -62,18 +65,22 @@ def run_deploy(
     joint_limits.profile(options.limits)
     require_workspace(policy.layout)
     try:
-        return _run(policy, options, stop, tell)
+        return _run(policy, options, stop, tell, watch)
     except TooBusyError as busy:
         note = f"{busy}. The run begins anew: the simulated robot waits for it now (--lock-step)"
         tell(note)
         # A file that is there was begun by this run, or might be replaced anyway.
-        report = _run(policy, replace(options, lock_step=True, overwrite=True), stop, tell)
+        report = _run(policy, replace(options, lock_step=True, overwrite=True), stop, tell, watch)
         report.notes.insert(0, note)
         return report
 
 
 def _run(
-    policy: Policy, options: DeployOptions, stop: threading.Event, tell: Callable[[str], None]
+    policy: Policy,
+    options: DeployOptions,
+    stop: threading.Event,
+    tell: Callable[[str], None],
+    watch: RunWatch | None,
 ) -> DeployReport:
     """As `run_deploy`, at the pace of the options.
 
@@ -104,7 +111,10 @@ def _run(
         with Link.open(config, NODE_NAME) as link:
             link.wait_for_robot(5.0)
             session = connect(policy, options, link, report, stop, tell, known)
-            with _beside(options, policy, link, session.trust, config, report, known):
+            with (
+                _beside(options, policy, link, session.trust, config, report, known),
+                nullcontext() if watch is None else watch.on(session.progress),
+            ):
                 session.run()
     return report
 

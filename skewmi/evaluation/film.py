@@ -5,7 +5,7 @@ Drawn is what the robot reported (measured joints and scene), not what was comma
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -106,6 +106,7 @@ def draw(
     width: int,
     height: int,
     camera: str,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[NDArray[np.uint8]]:
     """One frame per time, with every recorded joint where it was reported.
 
@@ -116,6 +117,7 @@ def draw(
         width: Of a frame, pixels.
         height: Of a frame, pixels.
         camera: Of the scene.
+        progress: Told how many frames are drawn, and how many there will be.
 
     Raises:
         NotFoundError: The scene has no such camera.
@@ -137,6 +139,7 @@ def draw(
                 data.qpos[addresses] = item.at(np.array([t]))[0]
             data.qpos[following] = data.qpos[driving]
             frames.append(renderer.draw(data, camera))
+            progress(len(frames), len(times))
     return frames
 
 

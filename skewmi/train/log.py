@@ -5,16 +5,14 @@ from __future__ import annotations
 import csv
 import functools
 import math
-import sys
+import time
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
+from skewmi import progress
 from skewmi.outputs import writing
 from skewmi.train.files import write_text
 
@@ -117,27 +115,27 @@ def read_metrics(run_dir: Path) -> dict[str, list[float]]:
 
 
 class ProgressBar:
-    """A bar with the metrics that matter; silent when not wanted."""
+    """How far a training is towards what ends it, and the metrics that matter.
 
-    def __init__(self, total: int, enabled: bool) -> None:
-        console = Console(file=sys.stderr)
-        self._progress = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TextColumn("{task.completed:,}/{task.total:,} steps"),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
-            TextColumn("{task.fields[metrics]}"),
-            console=console,
-            disable=not enabled or not console.is_terminal,
-        )
-        # Without a terminal a line now and then says more than a bar.
-        self._console = console if enabled and not console.is_terminal else None
-        self._printed = 0
-        self._task = self._progress.add_task("training", total=total, metrics="")
+    Args:
+        total: Steps.
+        enabled: Whether to show anything.
+        minutes: That end it, if they come first.
+        until_converged: Whether convergence may end it sooner than either.
+    """
+
+    def __init__(
+        self, total: int, enabled: bool, minutes: float | None = None, until_converged: bool = False
+    ) -> None:
+        self._total, self._minutes = total, minutes
+        what = "training until converged" if until_converged else "training"
+        self._bar = progress.ProgressBar(what, enabled=enabled, transient=False)
+        self._begun = time.monotonic()
+        self._first: int | None = None
 
     def __enter__(self) -> ProgressBar:
-        self._progress.start()
+        self._begun = time.monotonic()
+        self._bar.__enter__()
         return self
 
     def __exit__(
@@ -146,17 +144,26 @@ class ProgressBar:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._progress.stop()
+        self._bar.__exit__(kind, error, trace)
 
     def update(self, step: int, iteration: int, metrics: str) -> None:
-        """Move the bar."""
-        self._progress.update(self._task, completed=step, metrics=metrics)
-        if self._console is not None and iteration % 10 == 0:
-            self._console.print(f"{step:,} steps  {metrics}", highlight=False)
+        """Move the bar: minutes or steps, whichever will end the training sooner."""
+        del iteration
+        spent = time.monotonic() - self._begun
+        if self._first is None:
+            # What a run that goes on did before tells nothing of this computer.
+            self._first, self._begun_counting = step, spent
+        done = step - self._first
+        rate = done / max(spent - self._begun_counting, 1e-9)
+        by_steps = math.inf if not done else (self._total - step) / rate
+        if self._minutes is not None and 60.0 * self._minutes - spent <= by_steps:
+            minutes = min(spent / 60.0, self._minutes)
+            left = 60.0 * (self._minutes - minutes)
+            self._bar(round(minutes, 1), self._minutes, f"min, {step:,} steps  {metrics}", left)
+        else:
+            left_s = None if math.isinf(by_steps) else max(by_steps, 0.0)
+            self._bar(step, self._total, f"steps  {metrics}", left_s)
 
     def note(self, text: str) -> None:
         """A line above the bar."""
-        if not self._progress.disable:
-            self._progress.console.print(text, highlight=False)
-        elif self._console is not None:
-            self._console.print(text, highlight=False)
+        self._bar.note(text)

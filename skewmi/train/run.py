@@ -110,7 +110,8 @@ def _train(
     own = (*runner.learner.metrics, *runner.exploration.metrics)
     table = MetricsTable(run_dir, (*COLUMNS, *own, *TIME_COLUMNS), resumed_at)
     try:
-        with ProgressBar(config.total_steps, progress) as bar:
+        shown = (config.total_steps, progress, config.minutes, config.stop_on_convergence)
+        with ProgressBar(*shown) as bar:
             metrics, stopped_by = _iterate(
                 config, runner, run_dir, table, bar, started=started, before=before
             )

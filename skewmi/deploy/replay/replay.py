@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -44,22 +45,36 @@ class ReplayReport:
     """Whose messages are left out as not believed, in words."""
 
 
-def write_replay(recording_path: Path, rrd_path: Path, *, overwrite: bool = False) -> ReplayReport:
+Progress = Callable[[int, int, str], None]
+"""Parts done, of how many, and what is being done."""
+_PARTS = 3
+
+
+def _silent(done: int, total: int, words: str) -> None:
+    del done, total, words
+
+
+def write_replay(
+    recording_path: Path,
+    rrd_path: Path,
+    *,
+    overwrite: bool = False,
+    progress: Progress = _silent,
+) -> ReplayReport:
     """Write a Rerun file.
 
     Args:
         recording_path: An MCAP recording.
         rrd_path: File to write; appears only when it is complete.
         overwrite: Replace an existing file, but never the recording.
+        progress: Told how far it is.
 
     Raises:
         ConfigurationError: The recording cannot be used, or the file must not or cannot be
             written.
     """
     check_output(rrd_path, overwrite=overwrite, inputs=[recording_path])
-    recording = read_recording(recording_path)
-    believed = believed_part(recording)
-    run = understand(believed.recording)
+    run, believed = _understood(recording_path, progress)
     stream = rr.RecordingStream(APPLICATION, recording_id=recording_path.stem)
     with written_aside(rrd_path) as unfinished:
         stream.save(unfinished)
@@ -69,20 +84,27 @@ def write_replay(recording_path: Path, rrd_path: Path, *, overwrite: bool = Fals
     return _report(run, believed)
 
 
-def show_replay(recording_path: Path) -> ReplayReport:
+def show_replay(recording_path: Path, progress: Progress = _silent) -> ReplayReport:
     """Open a Rerun viewer on a recording.
 
     Raises:
         ConfigurationError: The recording cannot be used, or no viewer can be started.
     """
-    recording = read_recording(recording_path)
-    believed = believed_part(recording)
-    run = understand(believed.recording)
+    run, believed = _understood(recording_path, progress)
     stream = rr.RecordingStream(APPLICATION, recording_id=recording_path.stem)
     stream.connect_grpc(viewer.spawn_viewer("use --out and open the file elsewhere"))
     RunView(stream, run.subject, recording_path.stem).draw(run)
     stream.flush()
     return _report(run, believed)
+
+
+def _understood(recording_path: Path, progress: Progress) -> tuple[Run, Believed]:
+    progress(0, _PARTS, "reading")
+    believed = believed_part(read_recording(recording_path))
+    progress(1, _PARTS, "understanding")
+    run = understand(believed.recording)
+    progress(2, _PARTS, "drawing")
+    return run, believed
 
 
 def _report(run: Run, believed: Believed) -> ReplayReport:

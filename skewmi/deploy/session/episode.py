@@ -79,6 +79,11 @@ class EpisodeRunner:
         self._robot = robot
         self._status = status
 
+    @property
+    def steps(self) -> tuple[int, int]:
+        """Control steps of the present or last episode, and how many there may be."""
+        return self._policy.steps, self._layout.episode_steps
+
     def run(self, index: int) -> tuple[EpisodeReport, bool]:
         """Run an episode; it ends at rest. Nothing that goes wrong in it leaves here.
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.realtime import hot_loop
-from skewmi.deploy.report import DeployReport
+from skewmi.deploy.report import DeployReport, RunProgress
 from skewmi.deploy.session.episode import EpisodeRunner
 from skewmi.deploy.session.states import SessionEvent
 from skewmi.deploy.session.status import SessionStatus
@@ -85,6 +85,18 @@ class Session:
         report.missed_cycles = self._stream.missed_cycles
         report.interrupted = self._stop.is_set()
         report.add_strangers(self.trust.senders.strangers())
+
+    def progress(self) -> RunProgress:
+        """How far the run is; may be asked from any thread, and holds nobody up."""
+        steps, of = self._episodes.steps
+        return RunProgress(
+            state=self._status.state.value,
+            episode=min(len(self._report.episodes) + 1, self._options.episodes),
+            episodes=self._options.episodes,
+            step=steps,
+            steps=of,
+            missed_cycles=self._stream.missed_cycles,
+        )
 
     def _episode(self, index: int) -> bool:
         """One episode; whether to go on with the next."""
