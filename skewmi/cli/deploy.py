@@ -10,9 +10,8 @@ SIGHUP.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from contextlib import suppress
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -30,10 +29,13 @@ from skewmi.contact import QUANTITIES
 from skewmi.deploy import run as deploy_run
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.policy import OnnxPolicy
+from skewmi.deploy.replay import viewer
 from skewmi.deploy.replay.live_options import LiveOptions
 from skewmi.deploy.report import DeployReport
+from skewmi.deploy.run_watch import RunWatch
 from skewmi.deploy.wire.domain import ros_domain
 from skewmi.outputs import check_output
+from skewmi.progress import LiveLine
 from skewmi.smoothness import LIMITS
 
 BUNDLED = ", ".join(policies.bundled()) or "there is none"
@@ -78,7 +80,8 @@ class DeployCommand:
     record: Path | None = None
     """MCAP file to record everything to."""
     live: bool = False
-    """Open a Rerun viewer that shows the run while it happens: what `skewmi replay` shows."""
+    """Open a Rerun viewer that shows the run while it happens: what `skewmi replay` shows. Without
+    a screen it is served for a browser, and the address told."""
     live_connect: str | None = None
     """The same in a Rerun viewer that runs somewhere, such as rerun+http://10.0.0.5:9876/proxy."""
     live_out: Path | None = None
@@ -104,14 +107,9 @@ def deploy_policy(options: DeployCommand) -> DeployReport:
     policy = OnnxPolicy.load(options.policy)
     variation = variation_option(policy.layout.task, options.variation).get("variation")
     _check_outputs(options)
-    live = LiveOptions(options.live, options.live_connect, options.live_out)
-    console = Console(stderr=True)
-
-    def tell(text: str) -> None:
-        with suppress(OSError):  # The terminal may be gone; the arm comes first.
-            console.print(text, highlight=False, markup=False)
-
-    with stop_on_signal() as stop:
+    watch = RunWatch()
+    with stop_on_signal() as stop, LiveLine(watch.words) as line:
+        live = _live_options(options, line.note)
         return deploy_run.run_deploy(
             policy,
             DeployOptions(
@@ -136,8 +134,22 @@ def deploy_policy(options: DeployCommand) -> DeployReport:
                 scene_from=options.scene_from,
             ),
             stop=stop,
-            on_event=tell,
+            on_event=line.note,
+            watch=watch,
         )
+
+
+def _live_options(options: DeployCommand, tell: Callable[[str], None]) -> LiveOptions:
+    """Where to show the run: in the browser, if there is no screen for a viewer."""
+    live = LiveOptions(options.live, options.live_connect, options.live_out)
+    if not options.live or viewer.has_screen() or viewer.is_there():
+        return live
+    # Rerun takes a while to import; its process does so anyway.
+    from skewmi.deploy.replay import web
+
+    ports = web.free_ports()
+    tell(f"no screen here: open {web.address(ports)} in a browser, as long as the run lasts")
+    return replace(live, web_ports=ports)
 
 
 def _check_outputs(options: DeployCommand) -> None:

@@ -32,6 +32,7 @@ COMMANDS: dict[str, str] = {
     "calibrate": "identify one robot: excite, servo, scene, report, ranges",
     "stop": "bring the arm smoothly to rest",
     "replay": "turn a recording into a Rerun file, or show it live",
+    "play": "show a policy in simulation: in Rerun or in the browser, no deployment",
     "film": "draw an episode of a recording: film and strip of frames",
     "list": "tasks, policies, robots, presets and variations by name",
     "info": "what a policy, recording, calibration or run is",

@@ -73,7 +73,8 @@ class LiveView:
             "believed": believed,
             "metadata": dict(metadata),
             "title": title,
-            "spawn": options.spawn,
+            "spawn": options.spawn and options.web_ports is None,
+            "web": options.web_ports,
             "connect": options.connect,
             "out": None if options.out is None else str(options.out),
         }

@@ -14,11 +14,14 @@ class LiveOptions:
     """Where a run is shown in Rerun while it happens; at least one place."""
 
     spawn: bool = False
-    """A viewer on this machine, started unless it runs."""
+    """A viewer on this machine, started unless it runs; without a screen, in the browser."""
     connect: str | None = None
     """Address of a viewer that runs, such as rerun+http://127.0.0.1:9876/proxy."""
     out: Path | None = None
     """Rerun file to write; an existing one is replaced."""
+
+    web_ports: tuple[int, int] | None = None
+    """Of data and page of a web viewer, served as long as the run lasts; `web.free_ports`."""
 
     def __post_init__(self) -> None:
         if self.spawn and self.connect is not None:

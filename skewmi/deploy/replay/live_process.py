@@ -3,8 +3,8 @@
     python -m skewmi.deploy.replay.live_process
 
 Standard input and output as in `recording.listener`: the task is {"config", "believed", "metadata",
-"title", "spawn", "connect", "out"}. A line a second tells the owner that this process is not stuck;
-the counts come last.
+"title", "spawn", "web", "connect", "out"}. A line a second tells the owner that this process is not
+stuck; the counts come last.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import rerun as rr
 
 from skewmi.child import tell_parent
 from skewmi.deploy.recording.listener import Counts, Input, listen
-from skewmi.deploy.replay import viewer
+from skewmi.deploy.replay import viewer, web
 from skewmi.deploy.replay.assembler import RunAssembler
 from skewmi.deploy.replay.data import Subject
 from skewmi.deploy.replay.view import RunView
@@ -70,6 +70,10 @@ class _Streams:
         streams: list[Any] = []
         if task["out"] is not None:
             streams.append(_open(name, rr.FileSink(task["out"])))
+        if task["web"] is not None:
+            streams.append(rr.RecordingStream(APPLICATION))
+            web.serve(streams[-1], tuple(task["web"]))
+            streams[-1].send_recording_name(name)
         if task["spawn"]:
             url = viewer.spawn_viewer(
                 "use --live-out FILE, or --live-connect where there is a screen"

@@ -50,6 +50,16 @@ def require_viewer(url: str) -> None:
         )
 
 
+def has_screen() -> bool:
+    """Whether a viewer of our own could be seen here."""
+    return sys.platform != "linux" or any(os.environ.get(name) for name in _SCREENS)
+
+
+def is_there(url: str = DEFAULT_URL) -> bool:
+    """Whether a viewer listens already."""
+    return _listens(*check_url(url), timeout_s=0.5)
+
+
 def spawn_viewer(otherwise: str, url: str = DEFAULT_URL) -> str:
     """Open a viewer that outlives us, unless one listens there already; return its address.
 
@@ -63,7 +73,7 @@ def spawn_viewer(otherwise: str, url: str = DEFAULT_URL) -> str:
     host, port = check_url(url)
     if _listens(host, port, timeout_s=0.5):
         return url
-    if sys.platform == "linux" and not any(os.environ.get(name) for name in _SCREENS):
+    if not has_screen():
         raise ConfigurationError(
             f"there is no screen for a Rerun viewer (none of {', '.join(_SCREENS)} is set); "
             f"{otherwise}"
