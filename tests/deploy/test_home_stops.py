@@ -23,11 +23,11 @@ from skewmi.cli.main import main
 from skewmi.cli.scene_touches import TouchPlanner
 from skewmi.deploy.recording.recorder import Recorder
 from skewmi.deploy.robot.description import SCENE_REQUEST, RobotDescription
-from skewmi.deploy.robot.process import spawn_robot
+from skewmi.deploy.robot.process import EMULATOR, spawn_robot
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.transport import TransportConfig
 from skewmi.errors import ConfigurationError
-from skewmi.robot_models import limits
+from skewmi.robot_models import limits, yumi
 from skewmi.robot_models.servo import CONTACT_SERVO
 
 pytestmark = pytest.mark.slow
@@ -85,3 +85,17 @@ def test_home_that_is_killed_in_real_time_ends_at_rest_within_limits(tmp_path: P
             time.sleep(0.5)
         recorder.close()
     assert_within_limits(path)
+
+
+def test_home_and_back_through_an_emulated_controller() -> None:
+    """Its own cycle is not the grid's; workspaces are changed on the way, at a long lead."""
+    with spawn_robot(EMULATOR, "open_press_close", "lab", lock_step=False) as robot:
+        deadline = time.monotonic() + 60.0
+        while not describe(robot).ready:
+            assert time.monotonic() < deadline
+            time.sleep(0.2)
+        assert main(["home", "--to", "home", "--connect", robot]) == 0
+        there = describe(robot).commanded_position
+        np.testing.assert_allclose(there, yumi.HOME["right"], atol=1e-6)
+        assert main(["home", "--connect", robot]) == 0
+        np.testing.assert_allclose(describe(robot).commanded_position, task_start(), atol=1e-6)

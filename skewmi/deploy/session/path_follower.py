@@ -78,11 +78,21 @@ class PathFollower:
         Raises:
             CommandRefusedError: The robot server does not grant it.
         """
-        if state is not None:
+        if state is None:
+            self._robot.arm(workspace=workspace)
+        else:
             self._loop.run(HoldStill(self._stream, RESTED_NS), self.q, state)
-        self._robot.arm(workspace=workspace)
+            self._change(workspace)
         self._checks.now = workspace
         return self._observer.fresh_state()
+
+    def _change(self, workspace: str) -> None:
+        """Once the robot server has come to the end of what was sent, which a long lead delays."""
+        try:
+            self._robot.arm(workspace=workspace)
+        except CommandRefusedError:
+            self._robot.wait_for_hold()
+            self._robot.arm(workspace=workspace)
 
     def move(self, path: JointPath, s: float, s_end: float, state: ArmState) -> ArmState:
         """Follow a path from rest to rest.
