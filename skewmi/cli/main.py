@@ -22,8 +22,9 @@ from skewmi.errors import NotFoundError, SkewmiError, did_you_mean
 COMMANDS: dict[str, str] = {
     "demo": "train briefly, export, deploy on the simulated YuMi, write replay and picture",
     "train": "learn a task from its sparse reward",
+    "sweep": "train many runs from one file, on this machine or a Ray cluster",
     "evaluate": "success rate of a run or ONNX file in the batched simulation",
-    "figures": "learning curves and state-visitation pictures of a run",
+    "figures": "learning curves and visited states of a run; figures and tables of a sweep",
     "export-onnx": "write a run's policy as one self-describing ONNX file",
     "robot": "start a robot server (the simulated YuMi)",
     "deploy": "run an ONNX policy on a robot server",

@@ -11,6 +11,11 @@ from pathlib import Path
 from skewmi.errors import ConfigurationError
 from skewmi.outputs import make_folder, writing
 
+
+class BusyError(ConfigurationError):
+    """Another process trains in the directory."""
+
+
 _FILE = ".lock"
 _NO_LOCKS = {errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS, errno.EINVAL}
 """What file systems answer that know no locks (some network shares)."""
@@ -24,7 +29,8 @@ def only_training(run_dir: Path) -> Iterator[None]:
     leaves no run behind, it leaves no directory either.
 
     Raises:
-        ConfigurationError: Another process trains there, or the directory cannot be made.
+        BusyError: Another process trains there.
+        ConfigurationError: The directory cannot be made.
     """
     made = not run_dir.exists()
     make_folder(run_dir)
@@ -54,7 +60,7 @@ def _lock(descriptor: int, run_dir: Path) -> None:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
         who = os.pread(descriptor, 20, 0).decode(errors="replace")
-        raise ConfigurationError(
+        raise BusyError(
             f"another training goes on in {run_dir} (process {who or 'unknown'}); wait for it, end "
             "it, or use another directory"
         ) from error

@@ -1,0 +1,223 @@
+"""What a sweep file says: groups of configurations and the figures made from them, read strictly.
+
+    seeds: 5                          # 0 to 4; or a list
+    threads: 1                        # of each run
+    set: {total_steps: 400_000}       # numbers of every group
+    groups:
+      NAME:
+        tasks: [TASK, ...]
+        targets: [TARGET, ...]        # option `target` of the tasks; without: their default
+        configurations:               # presets, or names with what they are made of
+          - PRESET
+          - {name: NAME, preset: PRESET, learner: NAME, exploration: NAME, set: {}, options: {}}
+        seeds, set, options           # of this group
+        keep_states: true             # visited states of the first seed go into the results
+    figures:
+      NAME: {draw: KIND, groups: [NAME, ...], ...}    # see `skewmi figures`
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from skewmi.errors import ConfigurationError, NotFoundError
+from skewmi.yaml_text import parse_yaml
+
+Value = bool | int | float | str | None | list[Any]
+"""Of a number that is set, as YAML has it."""
+
+MAX_SEEDS = 10_000
+_TOP = ("seeds", "threads", "set", "groups", "figures")
+_GROUP = ("tasks", "targets", "configurations", "seeds", "set", "options", "keep_states")
+_CONFIGURATION = ("name", "preset", "learner", "exploration", "set", "options")
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """One way to train.
+
+    Attributes:
+        name: What results call it.
+        preset: Where its numbers start from.
+        learner, exploration: In the place of the preset's, with their own numbers; or None.
+        numbers: Changed ones, by dotted name.
+        options: Of the task.
+    """
+
+    name: str
+    preset: str
+    learner: str | None
+    exploration: str | None
+    numbers: Mapping[str, Value]
+    options: Mapping[str, Value]
+
+
+@dataclass(frozen=True)
+class Group:
+    """Every configuration on every task, target and seed.
+
+    Attributes:
+        name: Unique in the file.
+        tasks: Their names.
+        targets: Values of the option `target`; (None,): the tasks' default.
+        configurations: At least one.
+        seeds: Of the runs.
+        keep_states: Whether visited states of the first seed go into the results.
+    """
+
+    name: str
+    tasks: tuple[str, ...]
+    targets: tuple[str | None, ...]
+    configurations: tuple[Configuration, ...]
+    seeds: tuple[int, ...]
+    keep_states: bool
+
+
+@dataclass(frozen=True)
+class SweepFile:
+    """A whole file.
+
+    Attributes:
+        text: As it is written.
+        threads: Of each run.
+        groups: In the file's order.
+        figures: By name; only whoever draws them knows what may stand there.
+    """
+
+    text: str
+    threads: int
+    groups: tuple[Group, ...]
+    figures: Mapping[str, Any]
+
+
+def read_sweep_file(path: Path) -> SweepFile:
+    """Read a sweep file.
+
+    Raises:
+        NotFoundError: There is none.
+        ConfigurationError: It cannot be read, or says something that is not allowed.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError as error:
+        raise NotFoundError(f"there is no sweep file {path}; docs/sweep.md shows one") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"cannot read {path}: {error}") from error
+    return parse_sweep(text, str(path))
+
+
+def parse_sweep(text: str, name: str) -> SweepFile:
+    """What the text of a sweep file says; `name` is for messages.
+
+    Raises:
+        ConfigurationError: It says something that is not allowed.
+    """
+    top = _mapping(parse_yaml(text, name), name, _TOP)
+    groups = _mapping(top.get("groups"), f"{name}, groups")
+    if not groups:
+        raise ConfigurationError(f"{name} has no groups, so there is nothing to run")
+    seeds = _seeds(top.get("seeds", 1), name)
+    numbers = _mapping(top.get("set") or {}, f"{name}, set")
+    threads = _typed(top.get("threads", 1), int, f"{name}, threads")
+    return SweepFile(
+        text=text,
+        threads=threads,
+        groups=tuple(
+            _group(str(key), value, f"{name}, group {key}", seeds, numbers)
+            for key, value in groups.items()
+        ),
+        figures=_mapping(top.get("figures") or {}, f"{name}, figures"),
+    )
+
+
+def _group(
+    name: str, content: object, where: str, seeds: tuple[int, ...], numbers: Mapping[str, Value]
+) -> Group:
+    given = _mapping(content, where, _GROUP)
+    numbers = {**numbers, **_mapping(given.get("set") or {}, f"{where}, set")}
+    options = _mapping(given.get("options") or {}, f"{where}, options")
+    entries = given.get("configurations")
+    if not isinstance(entries, list) or not entries:
+        raise ConfigurationError(f"{where}: configurations must be a list of presets or mappings")
+    configurations = tuple(_configuration(entry, where, numbers, options) for entry in entries)
+    _unique([c.name for c in configurations], f"{where}, configurations")
+    targets = given.get("targets")
+    return Group(
+        name=name,
+        tasks=_names(given.get("tasks"), f"{where}, tasks"),
+        targets=(None,) if targets is None else _names(targets, f"{where}, targets"),
+        configurations=configurations,
+        seeds=_seeds(given["seeds"], where) if "seeds" in given else seeds,
+        keep_states=_typed(given.get("keep_states", False), bool, f"{where}, keep_states"),
+    )
+
+
+def _configuration(
+    entry: object, where: str, numbers: Mapping[str, Value], options: Mapping[str, Value]
+) -> Configuration:
+    if isinstance(entry, str):
+        return Configuration(entry, entry, None, None, numbers, options)
+    given = _mapping(entry, f"{where}, configurations", _CONFIGURATION)
+    if not isinstance(given.get("preset"), str):
+        raise ConfigurationError(f"{where}: a configuration needs a preset, {entry!r} has none")
+    for key in ("name", "learner", "exploration"):
+        _typed(given.get(key, ""), str, f"{where}, {key}")
+    here = f"{where}, configuration {given.get('name', given['preset'])}"
+    return Configuration(
+        name=given.get("name", given["preset"]),
+        preset=given["preset"],
+        learner=given.get("learner"),
+        exploration=given.get("exploration"),
+        numbers={**numbers, **_mapping(given.get("set") or {}, f"{here}, set")},
+        options={**options, **_mapping(given.get("options") or {}, f"{here}, options")},
+    )
+
+
+def _mapping(
+    content: object, where: str, allowed: tuple[str, ...] | None = None
+) -> dict[str, Any]:
+    if not isinstance(content, dict):
+        raise ConfigurationError(f"{where}: {content!r} is given where a mapping is needed")
+    found = {str(key): value for key, value in content.items()}
+    unknown = [key for key in found if allowed is not None and key not in allowed]
+    if unknown and allowed is not None:
+        raise ConfigurationError(
+            f"{where}: unknown {', '.join(map(repr, unknown))}; allowed: {', '.join(allowed)}"
+        )
+    return found
+
+
+def _typed(value: object, kind: Callable[..., _T], where: str) -> _T:
+    if type(value) is not kind:
+        raise ConfigurationError(f"{where}: {value!r} is not of type {kind.__name__}")
+    return value  # type: ignore[return-value]
+
+
+def _names(value: object, where: str) -> tuple[str, ...]:
+    if not isinstance(value, list) or not value or not all(isinstance(v, str) for v in value):
+        raise ConfigurationError(f"{where}: {value!r} is given, a list of names is needed")
+    return _unique(value, where)
+
+
+def _unique(names: list[str], where: str) -> tuple[str, ...]:
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ConfigurationError(f"{where}: {', '.join(twice)} is there twice; give other names")
+    return tuple(names)
+
+
+def _seeds(value: object, where: str) -> tuple[int, ...]:
+    """Seeds 0 to n - 1 for a number n, or those of a list."""
+    if type(value) is int and 1 <= value <= MAX_SEEDS:
+        return tuple(range(value))
+    fits = isinstance(value, list) and all(type(v) is int and v >= 0 for v in value)
+    if not fits or not value or len(set(value)) != len(value):  # type: ignore[arg-type, call-overload]
+        raise ConfigurationError(
+            f"{where}: seeds {value!r}; give how many (1 to {MAX_SEEDS}), or a list of different "
+            "natural numbers"
+        )
+    return tuple(value)  # type: ignore[arg-type]

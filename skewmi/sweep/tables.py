@@ -1,0 +1,156 @@
+"""The results of a sweep as tables: Parquet and CSV, and what figures are to be made of them.
+
+results.parquet, results.csv   a row per run in its place in a group
+curves.parquet, curves.csv     a row per run and measurement: the columns of metrics.csv
+states.parquet                 visited states of some runs, thinned: run, trajectory, fields
+                               of the state by name
+
+Whoever reads them needs neither torch nor the runs. What the sweep file says of figures travels in
+the metadata of results.parquet.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from skewmi.errors import ConfigurationError, NotFoundError
+from skewmi.outputs import written_aside
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+RESULTS, CURVES, STATES = "results", "curves", "states"
+RUN = "run"
+"""Column of every table: name of the run."""
+_FIGURES = b"skewmi.figures"
+
+Columns = dict[str, list[Any]]
+
+
+@dataclass(frozen=True)
+class Tables:
+    """What a sweep came to.
+
+    Attributes:
+        results, curves, states: Columns by name, all of a table equally long; see the module.
+        figures: Of the sweep file.
+        folder: Where they were read.
+    """
+
+    results: Columns
+    curves: Columns
+    states: Columns = field(default_factory=dict)
+    figures: Mapping[str, Any] = field(default_factory=dict)
+    folder: Path = field(default_factory=Path)
+
+
+def as_columns(rows: Sequence[Mapping[str, Any]]) -> Columns:
+    """Rows as columns; what a row lacks is None."""
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    return {name: [row.get(name) for row in rows] for name in names}
+
+
+def write_tables(tables: Tables, folder: Path) -> list[Path]:
+    """Write all of them, each whole or not at all, and return the files.
+
+    Raises:
+        OutputError: One cannot be written.
+    """
+    files = []
+    for name, columns in (
+        (RESULTS, tables.results),
+        (CURVES, tables.curves),
+        (STATES, tables.states),
+    ):
+        if not columns:
+            continue
+        table = _table(columns)
+        if name == RESULTS:
+            figures = json.dumps(tables.figures).encode()
+            table = table.replace_schema_metadata({_FIGURES: figures})
+        files += _write(table, folder / name, csv=name != STATES)
+    return files
+
+
+def _table(columns: Columns) -> pa.Table:
+    import pyarrow as pa
+
+    return pa.table({name: _array(values) for name, values in columns.items()})
+
+
+def _array(values: list[Any]) -> pa.Array:
+    import pyarrow as pa
+
+    known = [value for value in values if value is not None]
+    # Whole numbers of one run may be fractions of another.
+    if any(isinstance(v, float) for v in known) and all(
+        isinstance(v, int | float) and not isinstance(v, bool) for v in known
+    ):
+        values = [None if value is None else float(value) for value in values]
+    return pa.array(values)
+
+
+def _write(table: pa.Table, stem: Path, *, csv: bool) -> list[Path]:
+    import pyarrow.csv
+    import pyarrow.parquet
+
+    path = stem.with_suffix(".parquet")
+    with written_aside(path) as draft:
+        pyarrow.parquet.write_table(table, draft, compression="zstd")
+    if not csv:
+        return [path]
+    text = stem.with_suffix(".csv")
+    with written_aside(text) as draft:
+        pyarrow.csv.write_csv(table, draft)
+    return [path, text]
+
+
+def read_tables(path: Path) -> Tables:
+    """Read what a sweep came to.
+
+    Args:
+        path: Its folder, or results.parquet in it.
+
+    Raises:
+        NotFoundError: There are no results.
+        ConfigurationError: A table is damaged, or none of ours.
+    """
+    folder = path.parent if path.suffix == ".parquet" else path
+    if not (folder / f"{RESULTS}.parquet").exists():
+        raise NotFoundError(
+            f"{path} has no {RESULTS}.parquet: give the folder of a sweep that has been run, or "
+            "write its results as they are with skewmi sweep FILE --collect"
+        )
+    results, metadata = _read(folder / f"{RESULTS}.parquet")
+    for needed in (RUN, "group", "configuration", "task", "seed"):
+        if needed not in results:
+            raise ConfigurationError(f"{path} has no column {needed!r}: it is no sweep's")
+    curves, _ = _read(folder / f"{CURVES}.parquet")
+    states, _ = _read(folder / f"{STATES}.parquet")
+    try:
+        figures = json.loads(metadata.get(_FIGURES, b"{}"))
+    except ValueError as error:
+        raise ConfigurationError(f"{path} is damaged: {error}") from error
+    return Tables(results, curves, states, figures, folder)
+
+
+def is_sweep(path: Path) -> bool:
+    """Whether a path is a sweep's results and not a run."""
+    return path.suffix == ".parquet" or (path / f"{RESULTS}.parquet").exists()
+
+
+def _read(path: Path) -> tuple[Columns, Mapping[bytes, bytes]]:
+    import pyarrow as pa
+    import pyarrow.parquet
+
+    if not path.exists():
+        return {}, {}
+    try:
+        table = pyarrow.parquet.read_table(path)
+    except (OSError, pa.ArrowException) as error:
+        raise ConfigurationError(f"{path} cannot be read: {error}") from error
+    return table.to_pydict(), table.schema.metadata or {}
