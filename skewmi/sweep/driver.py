@@ -16,8 +16,9 @@ from pathlib import Path
 from threading import Event
 
 from skewmi.sweep.engine import BUSY, DONE, INVISIBLE, LOST, REFUSED, Engine, Job
+from skewmi.sweep.places import LOG
 from skewmi.sweep.plan import Run
-from skewmi.sweep.run_folder import LOG, Progress, is_done, read_progress, write_run
+from skewmi.sweep.run_folder import Progress, is_done, read_progress, write_run
 
 ATTEMPTS = 3
 """Workers of a run that may be lost one after the other without a step of progress."""

@@ -15,7 +15,7 @@ from typing import Protocol
 
 from skewmi.child import child_command
 from skewmi.outputs import writing
-from skewmi.sweep.run_folder import LOG
+from skewmi.sweep.places import LOG
 
 WORKER = "skewmi.cli.sweep_worker"
 """Module that trains one run: its folder is its argument, and it ends with its standard input."""

@@ -1,10 +1,4 @@
-"""What a sweep keeps in a run's folder, beside what every run has there.
-
-run.json      what the run is, written before it starts
-parts.jsonl   a line per process that has worked on it: commit, host, since which step
-result.json   written when it is done; without it, the run is not
-worker.log    what its processes said
-"""
+"""What a sweep keeps in a run's folder, beside what every run has there; `places` has the names."""
 
 from __future__ import annotations
 
@@ -18,12 +12,11 @@ from typing import Any
 import skewmi
 from skewmi.errors import CheckpointError
 from skewmi.outputs import make_folder, writing
+from skewmi.sweep.places import PARTS, RESULT, RUN
 from skewmi.train.config import TrainConfig
 from skewmi.train.config_json import from_document, to_document
 from skewmi.train.files import write_text
 from skewmi.train.run import TrainResult
-
-RUN, PARTS, RESULT, LOG = "run.json", "parts.jsonl", "result.json", "worker.log"
 
 
 @dataclass(frozen=True)
