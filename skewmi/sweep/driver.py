@@ -79,9 +79,7 @@ class Driver:
         report: Told what happens.
     """
 
-    def __init__(
-        self, runs: tuple[Run, ...], folder: Path, engine: Engine, report: Report
-    ) -> None:
+    def __init__(self, runs: tuple[Run, ...], folder: Path, engine: Engine, report: Report) -> None:
         self.folder, self.engine, self.report = folder, engine, report
         self.tracked = [Tracked(run) for run in runs]
         self.waiting = deque[Tracked]()
@@ -161,7 +159,9 @@ class Driver:
         )
         if tracked.lost >= ATTEMPTS:
             words = self._last_words(tracked, code)
-            self._fail(tracked, f"{ATTEMPTS} workers died {how} without a step of progress; {words}")
+            self._fail(
+                tracked, f"{ATTEMPTS} workers died {how} without a step of progress; {words}"
+            )
         else:
             tracked.why = f"its worker died {how}"
             self._again(tracked, 0.0, "lost")

@@ -1,19 +1,19 @@
 """What a sweep file says: groups of configurations and the figures made from them, read strictly.
 
-    seeds: 5                          # 0 to 4; or a list
-    threads: 1                        # of each run
-    set: {total_steps: 400_000}       # numbers of every group
-    groups:
-      NAME:
-        tasks: [TASK, ...]
-        targets: [TARGET, ...]        # option `target` of the tasks; without: their default
-        configurations:               # presets, or names with what they are made of
-          - PRESET
-          - {name: NAME, preset: PRESET, learner: NAME, exploration: NAME, set: {}, options: {}}
-        seeds, set, options           # of this group
-        keep_states: true             # visited states of the first seed go into the results
-    figures:
-      NAME: {draw: KIND, groups: [NAME, ...], ...}    # see `skewmi figures`
+seeds: 5                          # 0 to 4; or a list
+threads: 1                        # of each run
+set: {total_steps: 400_000}       # numbers of every group
+groups:
+  NAME:
+    tasks: [TASK, ...]
+    targets: [TARGET, ...]        # option `target` of the tasks; without: their default
+    configurations:               # presets, or names with what they are made of
+      - PRESET
+      - {name: NAME, preset: PRESET, learner: NAME, exploration: NAME, set: {}, options: {}}
+    seeds, set, options           # of this group
+    keep_states: true             # visited states of the first seed go into the results
+figures:
+  NAME: {draw: KIND, groups: [NAME, ...], ...}    # see `skewmi figures`
 """
 
 from __future__ import annotations
@@ -177,9 +177,7 @@ def _configuration(
     )
 
 
-def _mapping(
-    content: object, where: str, allowed: tuple[str, ...] | None = None
-) -> dict[str, Any]:
+def _mapping(content: object, where: str, allowed: tuple[str, ...] | None = None) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise ConfigurationError(f"{where}: {content!r} is given where a mapping is needed")
     found = {str(key): value for key, value in content.items()}

@@ -109,6 +109,19 @@ def _write(table: pa.Table, stem: Path, *, csv: bool) -> list[Path]:
     return [path, text]
 
 
+def write_csv(columns: Columns, path: Path) -> Path:
+    """Write columns as CSV.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    import pyarrow.csv
+
+    with written_aside(path) as draft:
+        pyarrow.csv.write_csv(_table(columns), draft)
+    return path
+
+
 def read_tables(path: Path) -> Tables:
     """Read what a sweep came to.
 

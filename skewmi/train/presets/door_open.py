@@ -7,7 +7,7 @@ from dataclasses import replace
 from skewmi.train.config import MetricsConfig, TrainConfig
 from skewmi.train.exploration.skew_explore import SkewExploreConfig
 from skewmi.train.presets import methods
-from skewmi.train.presets.shared import PAPER_EXPLORATION, PAPER_ROLLOUT, PAPER_SAC
+from skewmi.train.presets.shared import PAPER_EXPLORATION, PAPER_ROLLOUT, PAPER_SAC, reduced
 from skewmi.train.sac.config import SacConfig
 
 _TASK = "door_open"
@@ -33,6 +33,7 @@ _IMPROVED = TrainConfig(
     # A fifth of the points: the grid has 20,000.
     metrics=MetricsConfig(every_steps=25_000, entropy_points=10_000),
 )
+_REDUCED = reduced(_PAPER)
 PRESETS = (
     _PAPER,
     _IMPROVED,
@@ -41,4 +42,6 @@ PRESETS = (
     methods.return_then_explore(
         _IMPROVED, updates_per_step=0.14, arrival_radius=0.5, stall_distance=0.2
     ),
+    _REDUCED,
+    *methods.PAPER.presets(_REDUCED),
 )

@@ -7,7 +7,7 @@ from dataclasses import replace
 from skewmi.train.config import TrainConfig
 from skewmi.train.exploration.skew_explore import SkewExploreConfig
 from skewmi.train.presets import methods
-from skewmi.train.presets.shared import PAPER_EXPLORATION, PAPER_ROLLOUT, PAPER_SAC
+from skewmi.train.presets.shared import PAPER_EXPLORATION, PAPER_ROLLOUT, PAPER_SAC, reduced
 from skewmi.train.sac.config import SacConfig
 
 _TASK = "point_maze"
@@ -48,6 +48,7 @@ _IMPROVED = TrainConfig(
         weight_exponent=-2.5,
     ),
 )
+_REDUCED = reduced(_PAPER)
 PRESETS = (
     _PAPER,
     _IMPROVED,
@@ -56,4 +57,6 @@ PRESETS = (
     methods.return_then_explore(
         _IMPROVED, updates_per_step=0.2, arrival_radius=0.7, stall_distance=0.3
     ),
+    _REDUCED,
+    *methods.PAPER.presets(_REDUCED),
 )

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from skewmi.train.config import RolloutConfig
+from dataclasses import replace
+
+from skewmi.train.config import RolloutConfig, TrainConfig
 from skewmi.train.exploration.skew_explore import SkewExploreConfig
 from skewmi.train.sac.config import SacConfig
 
@@ -46,3 +48,22 @@ PAPER_ROLLOUT = RolloutConfig(
     noise_probability=0.0,
     history_steps=1_000_000,
 )
+REDUCED_UPDATES_PER_STEP = 0.1
+"""A tenth of the publication's gradient samples: an update of the same batch every ten steps."""
+REDUCED_ENVS = 5
+"""Episodes between two rounds of updates, instead of one: stepping them together saves time."""
+
+
+def reduced(paper: TrainConfig) -> TrainConfig:
+    """The publication's preset at a tenth of its gradient samples; all constants stay.
+
+    PPO's presets learn from each step 15 times where SAC's draw 1,024 samples per step, so there
+    is nothing to reduce in them: `paper-reduced-ppo` and its kin are the `paper` ones.
+    """
+    assert isinstance(paper.learner, SacConfig)
+    return replace(
+        paper,
+        preset=f"{paper.preset}-reduced",
+        learner=replace(paper.learner, updates_per_step=REDUCED_UPDATES_PER_STEP),
+        rollout=replace(paper.rollout, num_envs=REDUCED_ENVS),
+    )
