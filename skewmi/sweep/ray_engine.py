@@ -107,7 +107,7 @@ def opened_ray(address: str | None, threads: int, processes: int | None) -> Iter
             "--head, and give its --address"
         ) from error
     try:
-        most = max((node["Resources"].get("CPU", 0) for node in ray.nodes() if node["Alive"]))
+        most = max(node["Resources"].get("CPU", 0) for node in ray.nodes() if node["Alive"])
         if most < threads:
             raise ConfigurationError(
                 f"each run has {threads} threads, but no machine of the Ray cluster has more than "

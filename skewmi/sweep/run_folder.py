@@ -75,7 +75,7 @@ def note_part(run_dir: Path, version: str) -> None:
 
 
 def read_parts(run_dir: Path) -> list[dict[str, Any]]:
-    """Processes that have worked on a run, oldest first; half a line of a killed one is left out."""
+    """Processes that have worked on a run, oldest first; half a line of a killed one counts not."""
     try:
         lines = (run_dir / PARTS).read_text().splitlines()
     except OSError:

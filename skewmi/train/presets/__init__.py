@@ -1,10 +1,10 @@
 """Starting points of runs, by task and name.
 
-`paper` is faithful to the publication, `paper-reduced` the same with a tenth of its gradient samples,
-`improved` ours and the default; `paper-ppo`, `paper-skew-fit` and the like are the other methods of
-its comparison (`methods.py`). Each task's
-are in a file of their own, which is the only place in `train` that may name it; a task without any
-starts from the defaults of every number. What is measured in a task it says itself: it is not here.
+`paper` is faithful to the publication, `paper-reduced` the same with a tenth of its gradient
+samples, `improved` ours and the default; `paper-ppo`, `paper-skew-fit` and the like are the other
+methods of its comparison (`methods.py`). Each task's are in a file of their own, which is the only
+place in `train` that may name it; a task without any starts from the defaults of every number. What
+is measured in a task it says itself: it is not here.
 """
 
 from __future__ import annotations
