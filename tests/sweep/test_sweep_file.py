@@ -1,0 +1,87 @@
+"""Sweep files: read strictly, with messages that say where and what is allowed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from skewmi.errors import ConfigurationError, NotFoundError
+from skewmi.sweep.sweep_file import parse_sweep, read_sweep_file
+
+SHORT = "groups: {a: {tasks: [t], configurations: [p]}}"
+FILES = sorted((Path(__file__).parents[2] / "sweeps").glob("*.yaml"))
+
+
+def test_what_is_left_out_has_a_default() -> None:
+    sweep = parse_sweep(SHORT, "f")
+    (group,) = sweep.groups
+    assert (sweep.threads, group.seeds, group.targets, group.keep_states) == (1, (0,), (None,), False)
+    assert [(c.name, c.preset) for c in group.configurations] == [("p", "p")]
+
+
+def test_the_narrower_place_wins() -> None:
+    sweep = parse_sweep(
+        """
+        seeds: 2
+        set: {total_steps: 1, minutes: 1}
+        groups:
+          a:
+            tasks: [t]
+            seeds: [7]
+            set: {total_steps: 2, learner.n_step: 2}
+            options: {time_input: true}
+            configurations: [{preset: p, set: {learner.n_step: 3}, options: {start_noise: 0.1}}, q]
+        """,
+        "f",
+    )
+    first, second = sweep.groups[0].configurations
+    assert sweep.groups[0].seeds == (7,)
+    assert first.numbers == {"total_steps": 2, "minutes": 1, "learner.n_step": 3}
+    assert second.numbers == {"total_steps": 2, "minutes": 1, "learner.n_step": 2}
+    assert first.options == {"time_input": True, "start_noise": 0.1}
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "f: None is given where a mapping is needed"),
+        ("groups: {}", "nothing to run"),
+        ("grops: {}", "unknown 'grops'; allowed: seeds, threads, set, groups, figures"),
+        ("groups: {a: {tasks: [t]}}", "configurations must be a list"),
+        ("groups: {a: {configurations: [p]}}", "group a, tasks: None"),
+        ("groups: {a: {tasks: [t], configurations: [p], sets: 1}}", "group a: unknown 'sets'"),
+        ("groups: {a: {tasks: [t], configurations: [{name: n}]}}", "needs a preset"),
+        ("groups: {a: {tasks: [t], configurations: [p, p]}}", "p is there twice"),
+        ("groups: {a: {tasks: [t, t], configurations: [p]}}", "t is there twice"),
+        ("groups: {a: {tasks: t, configurations: [p]}}", "a list of names is needed"),
+        ("groups: {a: {tasks: [t], configurations: [p], keep_states: 1}}", "not of type bool"),
+        (f"seeds: 0\n{SHORT}", "seeds 0"),
+        (f"seeds: [1, 1]\n{SHORT}", "list of different"),
+        (f"seeds: [-1]\n{SHORT}", "natural numbers"),
+        (f"seeds: true\n{SHORT}", "seeds True"),
+        (f"threads: two\n{SHORT}", "threads: 'two' is not of type int"),
+        (f"set: 3\n{SHORT}", "f, set: 3"),
+        ("a: [", "is not YAML"),
+    ],
+)
+def test_what_is_not_allowed_is_refused(text: str, says: str) -> None:
+    with pytest.raises(ConfigurationError) as error:
+        parse_sweep(text, "f")
+    assert says in str(error.value)
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(NotFoundError, match=r"docs/sweep.md"):
+        read_sweep_file(tmp_path / "none.yaml")
+
+
+def test_there_are_sweeps_for_the_publication() -> None:
+    assert [path.stem for path in FILES] == ["paper", "paper-reduced", "smoke"]
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_sweeps_that_come_with_the_source_are_read(path: Path) -> None:
+    sweep = read_sweep_file(path)
+    assert sweep.groups
+    assert sweep.figures
