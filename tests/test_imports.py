@@ -58,6 +58,7 @@ FORBIDDEN: dict[str, tuple[str, ...]] = {
         "skewmi.export",
         "skewmi.deploy",
     ),
+    "skewmi.sweep": ("mujoco", "zenoh", "ray", "skewmi.sim", "skewmi.export", "skewmi.deploy"),
     "skewmi.export": ("zenoh", "mujoco", "skewmi.sim", "skewmi.robot_models"),
     "skewmi.deploy": (
         "torch",
@@ -115,6 +116,12 @@ def test_package_imports_only_what_the_architecture_allows(package: str) -> None
 def test_only_pictures_of_runs_need_torch() -> None:
     of_runs = ("skewmi.evaluation.figures", "skewmi.evaluation.learning")
     loaded = loaded_modules("skewmi.evaluation", of_runs)
+    assert sorted(loaded & {"torch", "skewmi.train"}) == []
+
+
+@pytest.mark.parametrize("module", ["ray_engine", "tables"])
+def test_readers_of_sweeps_and_processes_of_clusters_need_no_torch(module: str) -> None:
+    loaded = loaded_modules(f"skewmi.sweep.{module}", ())
     assert sorted(loaded & {"torch", "skewmi.train"}) == []
 
 

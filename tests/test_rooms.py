@@ -165,6 +165,22 @@ def test_only_simulated_robots_import_the_simulation() -> None:
     assert all(module.startswith(SIMULATORS) for module in users), sorted(users)
 
 
+def test_sweeps_know_trainings_and_nothing_of_tasks_and_commands() -> None:
+    allowed = {"", "train", "child", "outputs", "yaml_text"} | EVERYBODY
+    files = {module: found for module, found in imports().items() if room(module) == "sweep"}
+    assert files
+    for module, found in files.items():
+        others = {room(other) for other in found} - {"sweep"}
+        assert others <= allowed, f"{module} imports {sorted(others)}"
+
+
+def test_of_sweeps_pictures_know_the_tables_alone() -> None:
+    for module, found in imports().items():
+        if room(module) == "evaluation":
+            of_sweeps = {other for other in found if room(other) == "sweep"}
+            assert of_sweeps <= {"sweep.tables"}, module
+
+
 def test_no_two_folders_import_each_other_by_whatever_way() -> None:
     edges: dict[str, set[str]] = {}
     for module, found in imports().items():

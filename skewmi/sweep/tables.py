@@ -95,18 +95,20 @@ def _array(values: list[Any]) -> pa.Array:
 
 
 def _write(table: pa.Table, stem: Path, *, csv: bool) -> list[Path]:
-    import pyarrow.csv
     import pyarrow.parquet
 
     path = stem.with_suffix(".parquet")
     with written_aside(path) as draft:
         pyarrow.parquet.write_table(table, draft, compression="zstd")
-    if not csv:
-        return [path]
-    text = stem.with_suffix(".csv")
-    with written_aside(text) as draft:
+    return [path, _write_csv(table, stem.with_suffix(".csv"))] if csv else [path]
+
+
+def _write_csv(table: pa.Table, path: Path) -> Path:
+    import pyarrow.csv
+
+    with written_aside(path) as draft:
         pyarrow.csv.write_csv(table, draft)
-    return [path, text]
+    return path
 
 
 def write_csv(columns: Columns, path: Path) -> Path:
@@ -115,11 +117,7 @@ def write_csv(columns: Columns, path: Path) -> Path:
     Raises:
         OutputError: It cannot be written.
     """
-    import pyarrow.csv
-
-    with written_aside(path) as draft:
-        pyarrow.csv.write_csv(_table(columns), draft)
-    return path
+    return _write_csv(_table(columns), path)
 
 
 def read_tables(path: Path) -> Tables:

@@ -91,7 +91,10 @@ def test_numbers_methods_and_options_arrive() -> None:
     ("configuration", "says"),
     [
         ("c", "group g, configuration c: no preset 'c'"),
-        ("{preset: a, set: {learner.n_steps: 1}}", "no number 'learner.n_steps'; numbers of learner"),
+        (
+            "{preset: a, set: {learner.n_steps: 1}}",
+            "no number 'learner.n_steps'; numbers of learner",
+        ),
         ("{preset: a, set: {learner.n_steps: 1}}", "learner.n_step,"),
         ("{preset: a, set: {learner.name: ppo}}", "no number 'learner.name'"),
         ("{preset: a, set: {seed: 1}}", "no number 'seed'; there are total_steps"),
@@ -111,7 +114,9 @@ def test_what_a_run_cannot_be_is_refused(configuration: str, says: str) -> None:
     assert str(error.value).startswith("group g, configuration")
 
 
-def test_a_run_of_a_preset_that_has_changed_is_refused(tmp_path: Path, layout: PolicyLayout) -> None:
+def test_a_run_of_a_preset_that_has_changed_is_refused(
+    tmp_path: Path, layout: PolicyLayout
+) -> None:
     found = plan("  g: {tasks: [t], configurations: [a]}")
     (run,) = found.runs
     require_same_runs(found, tmp_path)

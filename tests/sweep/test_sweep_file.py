@@ -16,7 +16,12 @@ FILES = sorted((Path(__file__).parents[2] / "sweeps").glob("*.yaml"))
 def test_what_is_left_out_has_a_default() -> None:
     sweep = parse_sweep(SHORT, "f")
     (group,) = sweep.groups
-    assert (sweep.threads, group.seeds, group.targets, group.keep_states) == (1, (0,), (None,), False)
+    assert (sweep.threads, group.seeds, group.targets, group.keep_states) == (
+        1,
+        (0,),
+        (None,),
+        False,
+    )
     assert [(c.name, c.preset) for c in group.configurations] == [("p", "p")]
 
 

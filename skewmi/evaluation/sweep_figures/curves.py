@@ -40,7 +40,7 @@ def draw_exploration(request: Request, runs: SweepRuns, stem: Path, dpi: int) ->
     metrics = request.more.get("metrics", ["coverage", "entropy"])
     if not isinstance(metrics, list) or not all(isinstance(m, str) for m in metrics):
         raise ConfigurationError(f"figure {request.name}: metrics is {metrics!r}; a list is needed")
-    tasks = distinct(entries, "task")
+    tasks, colours = distinct(entries, "task"), colours_of(entries)
     figure, axes = drawing.new_axes(
         len(metrics), len(tasks), 5.2 * len(tasks) + 2.2, 3.2 * len(metrics)
     )
@@ -49,9 +49,9 @@ def draw_exploration(request: Request, runs: SweepRuns, stem: Path, dpi: int) ->
         of_task = [entry for entry in entries if entry.facts["task"] == task]
         for row, metric in enumerate(metrics):
             axis = axes[row, column]
-            found = _draw_bands(axis, request, of_task, metric, hold=False)
+            found = _draw_bands(axis, request, of_task, metric, colours, hold=False)
             rows += [{"task": task, "metric": metric, **one} for one in found]
-            _draw_published(axis, request, task, metric, distinct(entries, "configuration"))
+            _draw_published(axis, request, task, metric, colours)
             axis.set_ylabel(WORDS.get(metric, metric))
         axes[0, column].set_title(str(task).replace("_", " "))
     return _finish(figure, request, axes, rows, entries, stem, dpi)
@@ -66,18 +66,18 @@ def draw_learning(request: Request, runs: SweepRuns, stem: Path, dpi: int) -> Dr
     entries = runs.of(request.groups)
     metric = str(request.more.get("metric", "evaluation_fraction"))
     panels = list(dict.fromkeys((e.facts["task"], e.facts.get("target")) for e in entries))
-    columns = min(len(panels), 3)
+    columns, colours = min(len(panels), 3), colours_of(entries)
     lines = -(-len(panels) // columns)
     figure, axes = drawing.new_axes(lines, columns, 4.6 * columns + 2.2, 3.0 * lines)
     rows: list[dict[str, Any]] = []
     for axis, (task, target) in zip(axes.ravel(), panels, strict=False):
         mine = [e for e in entries if (e.facts["task"], e.facts.get("target")) == (task, target)]
-        found = _draw_bands(axis, request, mine, metric, hold=True)
+        found = _draw_bands(axis, request, mine, metric, colours, hold=True)
         rows += [{"task": task, "target": target, "metric": metric, **one} for one in found]
-        for k, name in enumerate(distinct(entries, "configuration")):
+        for name, colour in colours.items():
             value = request.paper.get(task, {}).get(name, {}).get(target or "default")
             if isinstance(value, int | float):
-                axis.axvline(value, color=COLOURS[k % len(COLOURS)], linestyle=":", linewidth=1.2)
+                axis.axvline(value, color=colour, linestyle=":", linewidth=1.2)
         words = f", target {target}" if target else ""
         axis.set_title(f"{str(task).replace('_', ' ')}{words}", fontsize=10)
         axis.set_ylabel(WORDS.get(metric, metric), fontsize=8)
@@ -87,7 +87,13 @@ def draw_learning(request: Request, runs: SweepRuns, stem: Path, dpi: int) -> Dr
 
 
 def _draw_bands(
-    axis: Axes, request: Request, entries: Sequence[Entry], metric: str, *, hold: bool
+    axis: Axes,
+    request: Request,
+    entries: Sequence[Entry],
+    metric: str,
+    colours: Mapping[str, str],
+    *,
+    hold: bool,
 ) -> list[dict[str, Any]]:
     """A band per configuration, and what was drawn as rows."""
     rows: list[dict[str, Any]] = []
@@ -97,8 +103,7 @@ def _draw_bands(
         )
         if not curves:
             continue
-        # Colours go by the group's order, wherever a configuration has no runs yet.
-        colour = COLOURS[distinct(entries, "configuration").index(name) % len(COLOURS)]
+        colour = colours[name]
         shown = band(curves, hold=hold)
         axis.plot(shown.x, shown.mean, color=colour, label=f"{name} ({len(curves)})")
         low, high = shown.mean - shown.deviation, shown.mean + shown.deviation
@@ -117,6 +122,12 @@ def _draw_bands(
     return rows
 
 
+def colours_of(entries: Sequence[Entry]) -> dict[str, str]:
+    """A colour per configuration, the same in every panel."""
+    names = distinct(entries, "configuration")
+    return {name: COLOURS[k % len(COLOURS)] for k, name in enumerate(names)}
+
+
 def curves_of(entries: Sequence[Entry], request: Request, metric: str) -> list[Curve]:
     """The curves of those runs that have one."""
     found = (entry.curve(request.x, metric) for entry in entries)
@@ -124,15 +135,13 @@ def curves_of(entries: Sequence[Entry], request: Request, metric: str) -> list[C
 
 
 def _draw_published(
-    axis: Axes, request: Request, task: str, metric: str, configurations: Sequence[str]
+    axis: Axes, request: Request, task: str, metric: str, colours: Mapping[str, str]
 ) -> None:
     values: Mapping[str, Any] = request.paper.get(task, {})
     for name, by_metric in values.items():
         if isinstance(by_metric, dict) and metric in by_metric:
-            k = configurations.index(name) if name in configurations else 0
-            axis.axhline(
-                by_metric[metric], color=COLOURS[k % len(COLOURS)], linestyle="--", linewidth=1.0
-            )
+            colour = colours.get(name, drawing.GREY)
+            axis.axhline(by_metric[metric], color=colour, linestyle="--", linewidth=1.0)
             axis.text(
                 0.01, by_metric[metric], f" paper {by_metric[metric]:g}", fontsize=7,
                 va="bottom", transform=axis.get_yaxis_transform(),

@@ -1,0 +1,69 @@
+"""A sweep on a Ray cluster of two nodes, one of which goes away."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from tiny_sweeps import (
+    assert_nothing_lost_or_doubled,
+    is_alive,
+    run_dirs,
+    start_driver,
+    under_way,
+    wait_until,
+    worker_of,
+    write_sweep,
+)
+
+from skewmi.sweep.engine import INVISIBLE
+from skewmi.sweep.ray_engine import train_here
+from skewmi.sweep.run_folder import is_done, read_parts
+
+STEPS = 8_000
+MEMORY = 80 * 2**20
+
+
+def test_a_machine_that_does_not_see_the_folder_says_so(tmp_path: Path) -> None:
+    assert train_here(str(tmp_path / "elsewhere"), 1) == INVISIBLE
+
+
+@pytest.mark.slow
+def test_a_lost_node_costs_nothing(tmp_path: Path) -> None:
+    pytest.importorskip("ray")
+    from ray.cluster_utils import Cluster
+
+    file, out = write_sweep(tmp_path, STEPS), tmp_path / "sweep"
+    folders = run_dirs(file, out)
+    node = {"num_cpus": 1, "object_store_memory": MEMORY}
+    cluster = Cluster(initialize_head=True, head_node_args={**node, "include_dashboard": False})
+    try:
+        lost = cluster.add_node(**node)
+        cluster.wait_for_nodes()
+        driver = start_driver(file, out, "--engine", "ray", "--address", cluster.address)
+        try:
+            wait_until(lambda: all(under_way(f, 400) for f in folders), "both runs are under way")
+            workers = [worker_of(folder) for folder in folders]
+            cluster.remove_node(lost, allow_graceful=False)
+            wait_until(
+                lambda: sum(not is_alive(w) for w in workers) == 1 or all(map(is_done, folders)),
+                "the node's worker has ended with it",
+            )
+            assert driver.wait() == 0
+        finally:
+            driver.kill()
+            driver.wait()
+    finally:
+        cluster.shutdown()
+    # One run was lost with its node and begun again on the other; one was not touched.
+    assert sorted(len(read_parts(folder)) for folder in folders) == [1, 2]
+    assert_nothing_lost_or_doubled(folders, tmp_path)
+
+
+@pytest.mark.slow
+def test_no_cluster_there_is_one_line(tmp_path: Path) -> None:
+    pytest.importorskip("ray")
+    file = write_sweep(tmp_path, 400)
+    driver = start_driver(file, tmp_path / "s", "--engine", "ray", "--address", "127.0.0.1:1")
+    assert driver.wait() == 2
+    assert "no Ray cluster at 127.0.0.1:1" in (tmp_path / "driver.log").read_text()
