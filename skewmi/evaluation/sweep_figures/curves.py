@@ -29,6 +29,8 @@ WORDS = {
     "refresh": "refreshes of the goals",
 }
 """Columns in words, where their names are not."""
+_LEGEND_WIDTH = 2.4
+"""Of an entry of the legend, inches."""
 
 
 def draw_exploration(request: Request, runs: SweepRuns, stem: Path, dpi: int) -> Drawn:
@@ -42,7 +44,7 @@ def draw_exploration(request: Request, runs: SweepRuns, stem: Path, dpi: int) ->
         raise ConfigurationError(f"figure {request.name}: metrics is {metrics!r}; a list is needed")
     tasks, colours = distinct(entries, "task"), colours_of(entries)
     figure, axes = drawing.new_axes(
-        len(metrics), len(tasks), 5.2 * len(tasks) + 2.2, 3.2 * len(metrics)
+        len(metrics), len(tasks), 5.2 * len(tasks), 3.2 * len(metrics) + 0.6
     )
     rows: list[dict[str, Any]] = []
     for column, task in enumerate(tasks):
@@ -68,7 +70,7 @@ def draw_learning(request: Request, runs: SweepRuns, stem: Path, dpi: int) -> Dr
     panels = list(dict.fromkeys((e.facts["task"], e.facts.get("target")) for e in entries))
     columns, colours = min(len(panels), 3), colours_of(entries)
     lines = -(-len(panels) // columns)
-    figure, axes = drawing.new_axes(lines, columns, 4.6 * columns + 2.2, 3.0 * lines)
+    figure, axes = drawing.new_axes(lines, columns, 4.8 * max(columns, 1) + 1.0, 3.0 * lines + 0.6)
     rows: list[dict[str, Any]] = []
     for axis, (task, target) in zip(axes.ravel(), panels, strict=False):
         mine = [e for e in entries if (e.facts["task"], e.facts.get("target")) == (task, target)]
@@ -170,7 +172,8 @@ def _finish(
             # The number of runs may differ between panels; the CSV has each.
             handles.setdefault(label.rpartition(" (")[0], handle)
     figure.legend(
-        handles.values(), handles.keys(), loc="outside right upper", frameon=False, fontsize=8
-    )
+        handles.values(), handles.keys(), loc="outside lower center", frameon=False, fontsize=8,
+        ncols=max(int(figure.get_figwidth() // _LEGEND_WIDTH), 1),
+    )  # fmt: skip
     figure.suptitle(f"{request.title}: mean and deviation", fontsize=11)
     return Drawn(write_figure(figure, rows, stem, dpi), lacking)

@@ -68,7 +68,7 @@ def draw_visits(
         len(shown), len(refreshes), 2.9 * len(refreshes) + 1.0, 2.6 * len(shown)
     )
     rows: list[dict[str, Any]] = []
-    for line, entry in zip(axes, shown, strict=True):
+    for k, (line, entry) in enumerate(zip(axes, shown, strict=True)):
         states = runs.states_of(entry.name)
         scene = scenes[entry.facts["task"]]
         for axis, refresh in zip(line, refreshes, strict=True):
@@ -76,6 +76,10 @@ def draw_visits(
             rows.append({"configuration": entry.facts["configuration"], "refresh": refresh,
                          **_panel(axis, entry, states, scene, step)})  # fmt: skip
             axis.set_title(_words(rows[-1]), fontsize=8)
+            # Labels inside would run into the titles below them.
+            if any(later.facts["task"] == entry.facts["task"] for later in shown[k + 1 :]):
+                axis.set_xlabel("")
+            axis.set_ylabel("")
         line[0].set_ylabel(f"{entry.facts['configuration']}\n{scene.plane[1]}", fontsize=8)
     figure.suptitle(f"{request.title}: visited states after so many refreshes", fontsize=11)
     return Drawn(write_figure(figure, rows, stem, dpi), tuple(lacking))
@@ -101,9 +105,10 @@ def draw_targets(
         for name, layout in scene.layouts.items():
             drawing.draw_region(axis, layout, scene.columns)
             centre = _centre(layout, scene)
-            axis.annotate(name, centre, fontsize=10, weight="bold", ha="center", va="center",
-                          zorder=5, color="black", bbox={"facecolor": "white", "alpha": 0.75,
-                          "edgecolor": "none", "pad": 1.0})  # fmt: skip
+            axis.annotate(
+                name, centre, xytext=(9, 9), textcoords="offset points", fontsize=9, weight="bold",
+                zorder=5, bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1},
+            )  # fmt: skip
             rows.append({"task": task, "target": name,
                          **dict(zip(("x", "y"), centre, strict=True)),
                          "plane": " ".join(scene.plane)})  # fmt: skip
