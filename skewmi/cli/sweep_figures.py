@@ -26,6 +26,8 @@ from skewmi.sweep.tables import Tables, read_tables
 
 FRAME_WIDTH, FRAME_HEIGHT = 480, 360
 _FRAMES = 12
+_AFTER = 5
+"""Steps that are shown after the first success."""
 _SEED = 0
 """Of the episode that is drawn."""
 
@@ -141,8 +143,11 @@ def _episode(entry: Entry, folder: Path, frames: int) -> tuple[Any, list[dict[st
     spec = tasks.find(config.task)
     options: dict[str, Any] = dict(config.task_options)
     env = tasks.make_batch(config.task, 1, num_threads=1, seed=_SEED, **options)
+    # Once to see when it is done: what comes after shows nothing new.
+    done = int(run_episodes(policy, env, 1, _SEED).first_success_step[0])
+    last = layout.episode_steps if done < 0 else min(done + _AFTER, layout.episode_steps)
+    shown = np.unique(np.linspace(1, last, frames).round().astype(int))
     camera = spec.camera(env, FRAME_WIDTH, FRAME_HEIGHT)
-    shown = np.unique(np.linspace(1, layout.episode_steps, frames).round().astype(int))
     pictures: list[Any] = []
     observations: list[Any] = []
     step = 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +23,10 @@ from skewmi.train.registry import entry_of
 
 MOST_STATES = 12_000
 """Visited states kept of a run, evenly spaced in time."""
-MOST_ROWS = 400
-"""Rows kept of a run's table: those with an entropy, or else evenly spaced ones, and the last."""
+MOST_MEASURED, MOST_OTHERS = 100, 60
+"""Rows kept of a run's table: with an entropy, and evenly spaced ones; and the last."""
+DIGITS = 6
+"""Significant ones of values in the curves: there are many of them."""
 _STATES = "states.npz"
 
 
@@ -124,8 +126,14 @@ def _curves(tables: Mapping[str, dict[str, list[float]]]) -> Columns:
     for run, table in tables.items():
         for k in _kept_rows(table):
             values = {name: column[k] for name, column in table.items()}
-            rows.append({RUN: run} | {n: v for n, v in values.items() if math.isfinite(v)})
+            shown = {n: _rounded(v) for n, v in values.items() if math.isfinite(v)}
+            rows.append({RUN: run} | shown)
     return as_columns(rows)
+
+
+def _rounded(value: float) -> float:
+    # Counters are longer than that, and whole.
+    return value if value.is_integer() else float(f"{value:.{DIGITS}g}")
 
 
 def _kept_rows(table: Mapping[str, list[float]]) -> list[int]:
@@ -133,10 +141,15 @@ def _kept_rows(table: Mapping[str, list[float]]) -> list[int]:
     if not count:
         return []
     measured = np.flatnonzero(np.isfinite(table.get("entropy", [math.nan] * count)))
-    chosen = measured if len(measured) else np.arange(count)
-    if len(chosen) > MOST_ROWS:
-        chosen = chosen[np.linspace(0, len(chosen) - 1, MOST_ROWS).round().astype(int)]
-    return sorted({*chosen.tolist(), count - 1})
+    kept = {*_spaced(measured.tolist(), MOST_MEASURED), *_spaced(range(count), MOST_OTHERS)}
+    return sorted({*kept, count - 1})
+
+
+def _spaced(rows: Sequence[int], most: int) -> list[int]:
+    """At most so many of some rows, evenly spaced, both ends among them."""
+    if len(rows) <= most:
+        return list(rows)
+    return [rows[k] for k in np.linspace(0, len(rows) - 1, most).round().astype(int)]
 
 
 def _states(kept: list[Run], runs: Path) -> Columns:
