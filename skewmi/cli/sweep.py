@@ -22,7 +22,7 @@ from skewmi.cli import numbers
 from skewmi.cli.interrupt import stop_on_signal
 from skewmi.cli.sweep_lines import SweepLines
 from skewmi.cli.train_options import starting_config
-from skewmi.errors import ConfigurationError
+from skewmi.errors import ConfigurationError, SkewmiError
 from skewmi.outputs import make_folder
 from skewmi.sim import tasks
 from skewmi.sweep.driver import Driver, State
@@ -142,8 +142,8 @@ def _require_environments(plan: Plan) -> None:
             given: dict[str, Any] = dict(config.task_options)
             try:
                 tasks.make_batch(config.task, 1, num_threads=1, **given)
-            except ConfigurationError as error:
-                raise ConfigurationError(f"group {member.group}: {error}") from error
+            except SkewmiError as error:
+                raise type(error)(f"group {member.group}: {error}") from error
 
 
 def _write_results(sweep: SweepFile, plan: Plan, folder: Path) -> list[str]:

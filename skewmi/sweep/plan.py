@@ -97,8 +97,10 @@ def make_plan(sweep: SweepFile, start: Start) -> Plan:
                         config = _resolved(configuration, base, target, sweep.threads)
                     except SkewmiError as error:
                         raise type(error)(f"{where}: {error}") from error
+                    changes = _changes(base, config)
+                    stem = _stem(configuration, config, changes)
                     for seed in group.seeds:
-                        run = _run(configuration, base, replace(config, seed=seed))
+                        run = Run(f"{stem}-s{seed}", replace(config, seed=seed), changes)
                         keep = group.keep_states and seed == group.seeds[0]
                         members.append(Member(group.name, configuration.name, run, keep))
     return Plan(tuple(members))
@@ -151,26 +153,29 @@ def _options(options: Mapping[str, Any]) -> tuple[tuple[str, OptionValue], ...]:
     return tuple(options.items())
 
 
-def _run(configuration: Configuration, base: TrainConfig, config: TrainConfig) -> Run:
-    """The run, named by what it is: what differs from the preset, not how the file says it."""
+def _changes(base: TrainConfig, config: TrainConfig) -> dict[str, Any]:
+    """What differs from the preset, however the file says it."""
     before, after = flat(to_document(base)), flat(to_document(config))
     changes = {
         key: value
         for key, value in after.items()
         if before.get(key) != value and key not in ("seed", "threads", "task_options")
     }
-    options = dict(config.task_options)
-    changes |= {
+    return changes | {
         f"task_options.{name}": value
-        for name, value in options.items()
+        for name, value in config.task_options
         if (name, value) not in base.task_options
     }
+
+
+def _stem(configuration: Configuration, config: TrainConfig, changes: Mapping[str, Any]) -> str:
+    """The name of a run but for its seed."""
     key = [configuration.preset, configuration.learner, configuration.exploration]
     what = json.dumps([config.task, *key, sorted(changes.items())])
     digest = hashlib.sha256(what.encode()).hexdigest()[:8]
-    words = [config.task, *(word for word in key if word), str(options.get(TARGET, "")), digest]
-    slug = re.sub(r"[^A-Za-z0-9_]+", "-", "-".join(word for word in words if word))
-    return Run(f"{slug}-s{config.seed}", config, changes)
+    target = str(dict(config.task_options).get(TARGET, ""))
+    words = [config.task, *(word for word in key if word), target, digest]
+    return re.sub(r"[^A-Za-z0-9_]+", "-", "-".join(word for word in words if word))
 
 
 def flat(document: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
