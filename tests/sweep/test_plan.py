@@ -97,7 +97,7 @@ def test_numbers_methods_and_options_arrive() -> None:
         ),
         ("{preset: a, set: {learner.n_steps: 1}}", "learner.n_step,"),
         ("{preset: a, set: {learner.name: ppo}}", "no number 'learner.name'"),
-        ("{preset: a, set: {seed: 1}}", "no number 'seed'; there are total_steps"),
+        ("{preset: a, set: {seed: 1}}", "no number 'seed'; there are "),
         ("{preset: a, set: {task: u}}", "no number 'task'"),
         ("{preset: a, set: {sigma: 1}}", "no number 'sigma'"),
         ("{preset: a, set: {learner.n_step: 0}}", "n_step is 0, needs at least 1"),
