@@ -160,11 +160,11 @@ def _states(kept: list[Run], runs: Path) -> Columns:
             continue
         count = len(states["trajectory"])
         before = len(parts.get(RUN, []))
-        for name, values in {RUN: np.repeat(run.name, count), **states}.items():
+        for name, array in {RUN: np.repeat(run.name, count), **states}.items():
             # Tasks have other fields: what a run does not have is None.
-            parts.setdefault(name, [None] * before).extend(values.tolist())
-        for values in parts.values():
-            values.extend([None] * (before + count - len(values)))
+            parts.setdefault(name, [None] * before).extend(array.tolist())
+        for column in parts.values():
+            column.extend([None] * (before + count - len(column)))
     return parts
 
 

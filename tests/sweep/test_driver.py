@@ -102,7 +102,7 @@ def states(driver: Driver) -> set[State]:
     return {tracked.state for tracked in driver.tracked}
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 2**32), count=st.integers(1, 6), room=st.integers(1, 3))
 def test_all_is_done_once_whatever_dies(
     tmp_path_factory: pytest.TempPathFactory, seed: int, count: int, room: int

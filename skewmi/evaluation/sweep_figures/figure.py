@@ -73,7 +73,7 @@ def read_request(name: str, content: object, kinds: Mapping[str, Sequence[str]])
     if not isinstance(content, dict):
         raise ConfigurationError(f"{where} is {content!r}; a mapping is needed")
     draw = content.get("draw")
-    if draw not in kinds:
+    if not isinstance(draw, str) or draw not in kinds:
         raise ConfigurationError(f"{where}: draw is {draw!r}; allowed: {', '.join(kinds)}")
     allowed = (*_KEYS, *kinds[draw])
     unknown = [str(key) for key in content if key not in allowed]
@@ -89,7 +89,7 @@ def read_request(name: str, content: object, kinds: Mapping[str, Sequence[str]])
         raise ConfigurationError(f"{where}: paper is {paper!r}; a mapping is needed")
     return Request(
         name=name,
-        draw=str(draw),
+        draw=draw,
         title=str(content.get("title", name)),
         groups=tuple(groups),
         x=str(content.get("x", "trajectories")),

@@ -192,13 +192,11 @@ def _words(row: Mapping[str, Any]) -> str:
 
 
 def _labels(axis: Axes, layout: PolicyLayout, scene: Scene) -> None:
-    for column, label, limits in zip(
-        scene.columns, (axis.set_xlabel, axis.set_ylabel), (axis.set_xlim, axis.set_ylim),
-        strict=True,
-    ):  # fmt: skip
-        field = layout.state_fields[column]
-        label(f"{field.name.replace('_', ' ')} [{field.unit}]", fontsize=8)
-        limits(field.low, field.high)
+    x, y = (layout.state_fields[column] for column in scene.columns)
+    axis.set_xlabel(f"{x.name.replace('_', ' ')} [{x.unit}]", fontsize=8)
+    axis.set_ylabel(f"{y.name.replace('_', ' ')} [{y.unit}]", fontsize=8)
+    axis.set_xlim(x.low, x.high)
+    axis.set_ylim(y.low, y.high)
     if layout.state_dim == 2:
         axis.set_aspect("equal")
 
