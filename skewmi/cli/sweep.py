@@ -31,7 +31,7 @@ from skewmi.sweep.plan import Plan, make_plan, require_same_runs
 from skewmi.sweep.results import collect
 from skewmi.sweep.run_folder import is_done, read_progress
 from skewmi.sweep.sweep_file import SweepFile, read_sweep_file
-from skewmi.sweep.tables import write_tables
+from skewmi.sweep.tables import SWEEP, write_tables
 from skewmi.train.files import write_text
 from skewmi.train.lock import BusyError, only_training
 
@@ -91,7 +91,7 @@ def run_sweep(options: SweepCommand) -> int:
 def _run(options: SweepCommand, sweep: SweepFile, plan: Plan, folder: Path) -> int:
     with ExitStack() as stack:
         stack.enter_context(_alone(folder))
-        write_text(folder / "sweep.yaml", sweep.text)
+        write_text(folder / SWEEP, sweep.text)
         engine = stack.enter_context(_engine(options, sweep.threads))
         lines = stack.enter_context(SweepLines(engine.slots, quiet=options.quiet))
         driver = Driver(plan.runs, folder / "runs", engine, lines.happened)

@@ -177,7 +177,8 @@ def _visited(run_dir: Path) -> dict[str, np.ndarray[Any, Any]] | None:
     try:
         states, _ = visited_states(run_dir)
         _, layout = read_run_header(run_dir)
-    except CheckpointError:
+    except (CheckpointError, OSError):
+        # Not begun, or its worker is replacing the checkpoint at this moment.
         return None
     trajectories = np.repeat(np.arange(1, len(states) + 1), states.shape[1])
     flat = states.reshape(-1, states.shape[-1])

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 RESULTS, CURVES, STATES = "results", "curves", "states"
+SWEEP = "sweep.yaml"
+"""In a sweep's folder: the file that it was run with."""
 RUN = "run"
 """Column of every table: name of the run."""
 _FIGURES = b"skewmi.figures"
@@ -150,8 +152,10 @@ def read_tables(path: Path) -> Tables:
 
 
 def is_sweep(path: Path) -> bool:
-    """Whether a path is a sweep's results and not a run."""
-    return path.suffix == ".parquet" or (path / f"{RESULTS}.parquet").exists()
+    """Whether a path is a sweep's and not a run's, with results or without."""
+    return path.suffix == ".parquet" or any(
+        (path / name).exists() for name in (f"{RESULTS}.parquet", SWEEP)
+    )
 
 
 def _read(path: Path) -> tuple[Columns, Mapping[bytes, bytes]]:

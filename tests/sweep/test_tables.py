@@ -37,6 +37,8 @@ def test_they_are_read_as_they_were_written(tmp_path: Path) -> None:
 
 def test_what_is_no_sweep_is_refused(tmp_path: Path) -> None:
     assert not is_sweep(tmp_path)
+    (tmp_path / "sweep.yaml").touch()  # killed before it could write any
+    assert is_sweep(tmp_path)
     with pytest.raises(NotFoundError, match="--collect"):
         read_tables(tmp_path)
     write_tables(Tables({"a": [1]}, {}), tmp_path)

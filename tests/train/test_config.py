@@ -14,6 +14,7 @@ from skewmi.errors import ConfigurationError, NotFoundError
 from skewmi.train.config import TrainConfig
 from skewmi.train.config_json import from_document, to_document
 from skewmi.train.presets import PRESETS, default_preset, names, preset
+from skewmi.train.sac.config import SacConfig
 
 
 @pytest.mark.parametrize("config", [*PRESETS.values(), default_preset("anything")])
@@ -109,3 +110,18 @@ def test_a_task_may_bring_presets(monkeypatch: pytest.MonkeyPatch) -> None:
     # What this package has is not replaced.
     maze = preset("point_maze")
     assert preset("point_maze", "improved", {"improved": "new_task_presets:MINE"}) is maze
+
+
+@pytest.mark.parametrize("task", sorted({task for task, name in PRESETS if name == "paper"}))
+def test_the_reduced_budget_is_the_paper_with_a_tenth_of_the_gradient_samples(task: str) -> None:
+    """All else is equal, in all five configurations."""
+    for ending in ("", "-skew-fit", "-ppo", "-ppo-skew-fit", "-ppo-rnd"):
+        paper, reduced = preset(task, f"paper{ending}"), preset(task, f"paper-reduced{ending}")
+        if isinstance(paper.learner, SacConfig):
+            assert isinstance(reduced.learner, SacConfig)
+            assert reduced.learner.batch_size == paper.learner.batch_size
+            assert reduced.learner.updates_per_step == 0.1 * paper.learner.updates_per_step
+            learner = replace(reduced.learner, updates_per_step=paper.learner.updates_per_step)
+            rollout = replace(reduced.rollout, num_envs=paper.rollout.num_envs)
+            reduced = replace(reduced, learner=learner, rollout=rollout)
+        assert replace(reduced, preset=paper.preset) == paper
