@@ -21,6 +21,7 @@ import tyro
 from skewmi.cli import numbers
 from skewmi.cli.interrupt import stop_on_signal
 from skewmi.cli.sweep_lines import SweepLines
+from skewmi.cli.train_config import MAX_STEPS
 from skewmi.cli.train_options import starting_config
 from skewmi.errors import ConfigurationError, SkewmiError
 from skewmi.outputs import make_folder
@@ -30,7 +31,7 @@ from skewmi.sweep.engine import Engine, LocalEngine, usable_cores
 from skewmi.sweep.plan import Plan, make_plan, require_same_runs
 from skewmi.sweep.results import collect
 from skewmi.sweep.run_folder import is_done, read_progress
-from skewmi.sweep.sweep_file import SweepFile, read_sweep_file
+from skewmi.sweep.sweep_file import MAX_SEEDS, SweepFile, narrowed, read_sweep_file
 from skewmi.sweep.tables import SWEEP, write_tables
 from skewmi.train.files import write_text
 from skewmi.train.lock import BusyError, only_training
@@ -55,6 +56,12 @@ class SweepCommand:
     address: str | None = None
     """Of the Ray cluster, as 10.0.0.1:6379; default: the one that this machine belongs to, or one
     of this machine alone."""
+    groups: tuple[str, ...] = ()
+    """Only these groups of the file; runs that others share with them are not run again later."""
+    seeds: int | None = None
+    """Only so many seeds of each group, the first ones."""
+    steps: int | None = None
+    """Environment steps of every run, in place of the file's: to try a file out."""
     dry_run: bool = False
     """List the runs and how far they are; do nothing."""
     collect: bool = False
@@ -70,7 +77,14 @@ def run_sweep(options: SweepCommand) -> int:
     numbers.require("--processes", options.processes, 1, MAX_PROCESSES)
     if options.address is not None and options.engine != "ray":
         raise ConfigurationError("--address is of a Ray cluster: give --engine ray, too")
-    sweep = read_sweep_file(options.file)
+    numbers.require("--seeds", options.seeds, 1, MAX_SEEDS)
+    numbers.require("--steps", options.steps, 1, MAX_STEPS)
+    sweep = narrowed(
+        read_sweep_file(options.file),
+        groups=options.groups,
+        seeds=options.seeds,
+        steps=options.steps,
+    )
     numbers.require("threads", sweep.threads, 1, numbers.MAX_THREADS)
     plan = make_plan(sweep, starting_config)
     for run in plan.runs:

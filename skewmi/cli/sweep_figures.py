@@ -67,10 +67,14 @@ def draw_sweep(
     missing: dict[str, list[str]] = {}
     for request in requests:
         stem = folder / request.name
-        if request.draw == FRAMES:
-            drawn = _draw_frames(request, runs, tables.folder / "runs", stem, dpi)
-        else:
-            drawn = draw(request, runs, scenes, stem, dpi)
+        try:
+            if request.draw == FRAMES:
+                drawn = _draw_frames(request, runs, tables.folder / "runs", stem, dpi)
+            else:
+                drawn = draw(request, runs, scenes, stem, dpi)
+        except NotFoundError as error:
+            # Of a sweep of which only a part was run, the other figures are there.
+            drawn = Drawn((), (str(error),))
         files += map(str, drawn.files)
         if drawn.missing:
             missing[request.name] = list(drawn.missing)

@@ -18,8 +18,8 @@ figures:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -132,6 +132,40 @@ def parse_sweep(text: str, name: str) -> SweepFile:
         ),
         figures=_mapping(top.get("figures") or {}, f"{name}, figures"),
     )
+
+
+def narrowed(
+    sweep: SweepFile, *, groups: Sequence[str] = (), seeds: int | None, steps: int | None
+) -> SweepFile:
+    """A part of a sweep; what both have in common are the same runs, but where steps are fewer.
+
+    Args:
+        sweep: The whole.
+        groups: Names of those to keep; none: all.
+        seeds: How many of each group's, the first ones; None: all.
+        steps: Of every run; None: what the file says.
+
+    Raises:
+        NotFoundError: There is no such group.
+    """
+    known = [group.name for group in sweep.groups]
+    unknown = [name for name in groups if name not in known]
+    if unknown:
+        raise NotFoundError(f"no group {', '.join(unknown)}; groups are {', '.join(known)}")
+
+    def part(group: Group) -> Group:
+        chosen = group.seeds if seeds is None else group.seeds[:seeds]
+        if steps is None:
+            return replace(group, seeds=chosen)
+        shorter = tuple(
+            replace(c, numbers={k: v for k, v in c.numbers.items() if k != "steps"}
+                    | {"total_steps": steps})
+            for c in group.configurations
+        )  # fmt: skip
+        return replace(group, seeds=chosen, configurations=shorter)
+
+    kept = [group for group in sweep.groups if not groups or group.name in groups]
+    return replace(sweep, groups=tuple(map(part, kept)))
 
 
 def _group(

@@ -77,6 +77,9 @@ def test_mistakes_are_one_line_and_leave_nothing(
     [
         (["--processes", "0"], "--processes is 0"),
         (["--address", "10.0.0.1:6379"], "--engine ray"),
+        (["--seeds", "0"], "--seeds is 0"),
+        (["--steps", "0"], "--steps is 0"),
+        (["--groups", "maze", "door"], "no group door; groups are maze"),
     ],
 )
 def test_options_that_mean_nothing_are_refused(
@@ -138,6 +141,19 @@ def test_a_sweep_from_its_file_to_its_figures(
     ]  # fmt: skip
     assert main(["figures", str(out / "results.parquet"), "--dpi", "30"]) == 2
     assert "--overwrite" in capsys.readouterr().err
+
+
+def test_a_part_of_a_sweep_shares_its_runs_with_the_whole(tmp_path: Path, capsys: Any) -> None:
+    line = ["sweep", str(SWEEPS / "paper-reduced.yaml"), "--out", str(tmp_path), "--dry-run"]
+
+    def listed(*more: str) -> set[str]:
+        assert main([*line, *more, "--json"]) == 0
+        return {run["run"] for run in json.loads(capsys.readouterr().out)["runs"]}
+
+    part, whole = listed("--groups", "ablation", "--seeds", "1"), listed()
+    assert len(part) == 6
+    assert part < whole
+    assert not listed("--groups", "ablation", "--seeds", "1", "--steps", "2000") & whole
 
 
 def test_figures_of_a_sweep_that_asks_for_none(tmp_path: Path, capsys: Any) -> None:

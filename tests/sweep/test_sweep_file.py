@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from skewmi.errors import ConfigurationError, NotFoundError
-from skewmi.sweep.sweep_file import parse_sweep, read_sweep_file
+from skewmi.sweep.sweep_file import narrowed, parse_sweep, read_sweep_file
 
 SHORT = "groups: {a: {tasks: [t], configurations: [p]}}"
 FILES = sorted((Path(__file__).parents[2] / "sweeps").glob("*.yaml"))
@@ -90,3 +90,19 @@ def test_sweeps_that_come_with_the_source_are_read(path: Path) -> None:
     sweep = read_sweep_file(path)
     assert sweep.groups
     assert sweep.figures
+
+
+def test_a_part_of_a_sweep() -> None:
+    sweep = parse_sweep(
+        "set: {steps: 9}\n"
+        "groups:\n"
+        "  a: {tasks: [t], configurations: [p, q], seeds: [5, 6, 7]}\n"
+        "  b: {tasks: [t], configurations: [p], set: {total_steps: 8}}",
+        "f",
+    )
+    assert narrowed(sweep, seeds=None, steps=None) == sweep
+    (group,) = narrowed(sweep, groups=["a"], seeds=2, steps=3).groups
+    assert (group.name, group.seeds) == ("a", (5, 6))
+    assert [dict(c.numbers) for c in group.configurations] == [{"total_steps": 3}] * 2
+    with pytest.raises(NotFoundError, match="no group c; groups are a, b"):
+        narrowed(sweep, groups=["c"], seeds=None, steps=None)
