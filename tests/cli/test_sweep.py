@@ -162,3 +162,18 @@ def test_figures_of_a_sweep_that_asks_for_none(tmp_path: Path, capsys: Any) -> N
     capsys.readouterr()
     assert main(["figures", str(tmp_path / "out")]) == 2
     assert "asks for no figures; give one that does with --spec" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_the_smallest_sweep_with_every_kind_of_figure(tmp_path: Path, capsys: Any) -> None:
+    """Processes of its own, one that renders an arm among the figures."""
+    line = ["--out", str(tmp_path), "--json", "--quiet", "--processes", "1"]
+    assert main(["sweep", str(SWEEPS / "smoke.yaml"), *line]) == 0
+    capsys.readouterr()
+    assert main(["figures", str(tmp_path), "--dpi", "40", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    names = {Path(path).stem for path in document["files"]}
+    assert names == {"fig5", "fig6", "ablation", "table1", "fig7a", "fig7b", "fig10"}
+    assert len(document["files"]) == 3 * len(names)
+    # What a policy of a few updates cannot do is said, and nothing else is missing.
+    assert set(document["missing"]) <= {"fig7b"}
