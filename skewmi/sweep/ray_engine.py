@@ -6,6 +6,7 @@ machine, is told to the driver, which begins it again elsewhere; so Ray itself r
 
 from __future__ import annotations
 
+import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +15,8 @@ from typing import Any
 from skewmi.errors import ConfigurationError, NotFoundError
 from skewmi.sweep.engine import INVISIBLE, LOST, end_worker, start_worker, worker_environment
 from skewmi.sweep.places import RUN
+
+_ANSWER_S = 10.0
 
 
 def train_here(run_dir: str, threads: int) -> int:
@@ -98,14 +101,11 @@ def opened_ray(address: str | None, threads: int, processes: int | None) -> Iter
         import ray
     except ImportError as error:
         raise NotFoundError("--engine ray needs Ray: pip install 'skewmi[cluster]'") from error
+    _require_answer(address)
     try:
         ray.init(address=address, log_to_driver=False, logging_level="ERROR")
     except (ConnectionError, ValueError, RuntimeError, OSError) as error:
-        words = " ".join(str(error).split())
-        raise ConfigurationError(
-            f"no Ray cluster at {address or 'this machine'}: {words}; start one with ray start "
-            "--head, and give its --address"
-        ) from error
+        raise _no_cluster(address, error) from error
     try:
         most = max(node["Resources"].get("CPU", 0) for node in ray.nodes() if node["Alive"])
         if most < threads:
@@ -116,3 +116,23 @@ def opened_ray(address: str | None, threads: int, processes: int | None) -> Iter
         yield RayEngine(ray, threads, processes)
     finally:
         ray.shutdown()
+
+
+def _require_answer(address: str | None) -> None:
+    """See that somebody listens at an address; Ray itself would try for minutes."""
+    host, colon, port = (address or "").removeprefix("ray://").rpartition(":")
+    if not (colon and port.isdigit()):
+        return  # "auto" and the like: Ray knows where to look
+    try:
+        with socket.create_connection((host.strip("[]"), int(port)), timeout=_ANSWER_S):
+            pass
+    except (OSError, OverflowError) as error:
+        raise _no_cluster(address, error) from error
+
+
+def _no_cluster(address: str | None, error: BaseException) -> ConfigurationError:
+    words = " ".join(str(error).split())
+    return ConfigurationError(
+        f"no Ray cluster at {address or 'this machine'}: {words}; start one with ray start --head, "
+        "and give its --address"
+    )

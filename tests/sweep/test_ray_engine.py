@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from pathlib import Path
 
 import pytest
@@ -16,8 +17,9 @@ from tiny_sweeps import (
     write_sweep,
 )
 
+from skewmi.errors import ConfigurationError, NotFoundError
 from skewmi.sweep.engine import INVISIBLE
-from skewmi.sweep.ray_engine import train_here
+from skewmi.sweep.ray_engine import opened_ray, train_here
 from skewmi.sweep.run_folder import is_done, read_parts
 
 STEPS = 8_000
@@ -62,10 +64,17 @@ def test_a_lost_node_costs_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert_nothing_lost_or_doubled(folders, tmp_path)
 
 
-@pytest.mark.slow
-def test_no_cluster_there_is_one_line(tmp_path: Path) -> None:
+@pytest.mark.parametrize("address", ["127.0.0.1:1", "ray://127.0.0.1:1", "127.0.0.1:99999"])
+def test_no_cluster_there_is_said_at_once(address: str) -> None:
     pytest.importorskip("ray")
-    file = write_sweep(tmp_path, 400)
-    driver = start_driver(file, tmp_path / "s", "--engine", "ray", "--address", "127.0.0.1:1")
-    assert driver.wait() == 2
-    assert "no Ray cluster at 127.0.0.1:1" in (tmp_path / "driver.log").read_text()
+    with (
+        pytest.raises(ConfigurationError, match=f"no Ray cluster at {address}"),
+        opened_ray(address, 1, None),
+    ):
+        raise AssertionError("it is open")
+
+
+@pytest.mark.skipif(importlib.util.find_spec("ray") is not None, reason="Ray is installed")
+def test_a_missing_ray_is_said() -> None:
+    with pytest.raises(NotFoundError, match="skewmi.cluster"), opened_ray(None, 1, None):
+        raise AssertionError("it is open")
