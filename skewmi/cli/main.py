@@ -20,7 +20,7 @@ from skewmi import __version__
 from skewmi.errors import NotFoundError, SkewmiError, did_you_mean
 
 COMMANDS: dict[str, str] = {
-    "demo": "train briefly, export, deploy on the simulated YuMi, write replay and picture",
+    "demo": "deploy a policy on the simulated YuMi, film and replay it; train another",
     "train": "learn a task from its sparse reward",
     "sweep": "train many runs from one file, on this machine or a Ray cluster",
     "evaluate": "success rate of a run or ONNX file in the batched simulation",
