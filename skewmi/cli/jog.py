@@ -49,6 +49,9 @@ class JogCommand(RobotServerFlags):
 
 def run_jog(options: JogCommand) -> int:
     """Make the step. Returns the exit code."""
+    for name, value in (("--x", options.x), ("--y", options.y), ("--z", options.z)):
+        numbers.require(name, value, -LARGEST_MM, LARGEST_MM)
+    numbers.require("--degrees", options.degrees, -LARGEST_DEGREES, LARGEST_DEGREES)
     step = np.array([options.x, options.y, options.z])
     if options.joint is None:
         _require_step(options, step)

@@ -13,6 +13,7 @@ from skewmi.cli import calibrate
 from skewmi.cli.main import COMMANDS, main
 from skewmi.sim.tasks.registry import MAX_SEED
 
+SMOKE = str(Path(__file__).parents[2] / "sweeps" / "smoke.yaml")
 BEFORE: dict[str, list[str]] = {
     "demo": ["--out", "{t}/demo"],
     "train": ["--task", "point_maze", "--run-dir", "{t}/run", "--quiet"],
@@ -24,6 +25,14 @@ BEFORE: dict[str, list[str]] = {
     "stop": ["--connect", "tcp/127.0.0.1:1"],
     "replay": ["{t}/absent.mcap"],
     "film": ["{t}/absent.mcap"],
+    "sweep": [SMOKE, "--out", "{t}/sweep"],
+    "play": ["open_press_close", "--out", "{t}/play.rrd"],
+    "home": ["--connect", "tcp/127.0.0.1:1"],
+    "jog": ["--connect", "tcp/127.0.0.1:1", "--z", "5"],
+    "list": [],
+    "info": ["{t}/absent.mcap"],
+    "model": [],
+    "completion": ["bash"],
     "certificates": ["--out", "{t}/certificates", "--host", "localhost"],
     "doctor": ["--quick"],
     "calibrate excite": ["--out", "{t}/excitation.mcap"],
@@ -36,6 +45,8 @@ BEFORE: dict[str, list[str]] = {
 
 INTEGERS = ("-1", str(-(2**63)), str(2**80))
 FLOATS = ("-1", "nan", "inf", "-inf")
+SIGNED = {("jog", name) for name in ("x", "y", "z", "degrees")}
+"""Options that may be negative."""
 
 
 def numeric_options(command: str) -> list[tuple[str, type]]:
@@ -67,6 +78,7 @@ CASES = [
     for command in steps(given)
     for option, kind in numeric_options(command)
     for value in (INTEGERS if kind is int else FLOATS)
+    if not ((command, option) in SIGNED and value == "-1")
 ]
 
 

@@ -13,8 +13,8 @@ NOBODY = ["--connect", "tcp/127.0.0.1:1"]
     ("arguments", "message"),
     [
         (["jog"], "nothing to do: give --x"),
-        (["jog", "--x", "51"], "it must be in 0.1..50"),
-        (["jog", "--x", "nan"], "it must be in 0.1..50"),
+        (["jog", "--x", "51"], "--x is 51.0; it must be in -50..50"),
+        (["jog", "--x", "nan"], "--x is nan; it must be in -50..50"),
         (["jog", "--x", "40", "--y", "40"], "it must be in 0.1..50"),
         (["jog", "--z", "0.01"], "it must be in 0.1..50"),
         (["jog", "--degrees", "3"], "give --joint, too"),
