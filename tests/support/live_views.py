@@ -67,5 +67,6 @@ def gathering_viewer(path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]
 
 
 def about_the_view(report: DeployReport) -> list[str]:
-    """Notes of a run but for the one that this computer is busy."""
-    return [note for note in report.notes if "too busy for real time" not in note]
+    """Notes of a run but for those that this computer is busy, or that a recorder was behind."""
+    others = ("too busy for real time", "the recording lacks")
+    return [note for note in report.notes if not any(other in note for other in others)]

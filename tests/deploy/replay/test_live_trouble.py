@@ -17,6 +17,7 @@ from skewmi.deploy import run as deploy_run
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.replay.live import LiveView
 from skewmi.deploy.replay.live_options import LiveOptions
+from skewmi.deploy.session.timing import BUSY_ADVICE
 
 
 def watched(monkeypatch: pytest.MonkeyPatch) -> list[LiveView]:
@@ -65,21 +66,27 @@ def test_view_that_dies_or_hangs_leaves_the_run_alone(
     steps: int,
     note: str,
 ) -> None:
-    views, shown = watched(monkeypatch), tmp_path / "live.rrd"
+    views = watched(monkeypatch)
 
     def strike() -> None:
         if lock_step:  # the arm waits meanwhile
             wait_for_actions(shown)
-        os.kill(views[0].pid, number)
+        os.kill(views[-1].pid, number)
 
-    options = DeployOptions(
-        connect=request.getfixturevalue("lock_step_robot" if lock_step else "robot"),
-        lock_step=lock_step,
-        lead_ms=PATIENT_MS,
-        live=LiveOptions(out=shown),
-    )
-    report = deploy_run.run_deploy(Scripted(steps, 20, strike), options)
-    (episode,) = report.episodes
+    robot = request.getfixturevalue("lock_step_robot" if lock_step else "robot")
+    for attempt in range(3):
+        shown = tmp_path / f"live{attempt}.rrd"
+        options = DeployOptions(
+            connect=robot,
+            lock_step=lock_step,
+            lead_ms=PATIENT_MS,
+            live=LiveOptions(out=shown),
+        )
+        report = deploy_run.run_deploy(Scripted(steps, 20, strike), options)
+        (episode,) = report.episodes
+        # A busy computer may stop a run in real time, whatever its view does.
+        if BUSY_ADVICE not in episode.reason:
+            break
     assert (episode.steps, "enough" in episode.reason) == (steps, True), episode
     (told,) = about_the_view(report)
     assert note in told
