@@ -8,8 +8,11 @@ computes what `Sac.update` does, in another order of roundings.
 
 from __future__ import annotations
 
+import os
 import shutil
+import sysconfig
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import torch
@@ -29,10 +32,18 @@ BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8
 
 
 def can_compile(device: torch.device) -> bool:
-    """Whether torch can compile for a device here: on a processor it needs a C++ compiler."""
-    if device.type != "cpu":
+    """Whether torch can compile for a device here: with a C++ compiler and Python's headers.
+
+    The compiler is the one that torch takes: what CXX names, else g++.
+    """
+    if device.type != "cpu" or not shutil.which(os.environ.get("CXX", "g++")):
         return False
-    return any(shutil.which(name) for name in ("g++", "clang++", "c++"))
+    return has_headers()
+
+
+def has_headers() -> bool:
+    """Whether Python's headers are installed, which compiled code includes."""
+    return (Path(sysconfig.get_path("include")) / "Python.h").is_file()
 
 
 def chosen_engine(engine: str, device: torch.device) -> str:
@@ -43,8 +54,9 @@ def chosen_engine(engine: str, device: torch.device) -> str:
     """
     if engine == "compiled" and not can_compile(device):
         raise ConfigurationError(
-            "learner.engine is 'compiled', which needs a C++ compiler (g++ or clang++ on the "
-            f"PATH) and the device cpu, not {device.type}; 'eager' works everywhere"
+            "learner.engine is 'compiled', which needs a C++ compiler (g++, or what CXX names), "
+            f"Python's headers (python3-dev) and the device cpu, here {device.type}; 'eager' works "
+            "everywhere"
         )
     if engine == "auto":
         return "compiled" if can_compile(device) else "eager"
@@ -61,7 +73,6 @@ class CompiledUpdate:
     """
 
     def __init__(self, sac: Sac, backend: str = "inductor") -> None:
-        self._sac = sac
         actor = [*sac.actor.parameters(), sac.log_temperature]
         critics, target = [*sac.critics.parameters()], [*sac.target.parameters()]
         a, c = sac.actor_optimizer.state, sac.critic_optimizer.state
@@ -95,16 +106,21 @@ class CompiledUpdate:
             batch: Transitions.
             target_noise, noise: Standard normal, of the next actions and of the actor's. Shape
                 (n, action_dim).
+
+        Raises:
+            ConfigurationError: The compiler failed.
         """
         torch._foreach_add_(self._steps, 1.0)
+        given = batch.inputs, batch.actions, batch.returns, batch.next_inputs, batch.discounts
         with torch.no_grad():
-            new, scalars = self._update(
-                self._state,
-                self._steps[0],
-                (batch.inputs, batch.actions, batch.returns, batch.next_inputs, batch.discounts),
-                target_noise,
-                noise,
-            )
+            try:
+                new, scalars = self._update(self._state, self._steps[0], given, target_noise, noise)
+            except RuntimeError as error:  # all that torch raises of compiling is one
+                words = (str(error).strip().splitlines() or ["no reason given"])[0]
+                raise ConfigurationError(
+                    f"the updates could not be compiled ({words}); begin another run with what "
+                    "there is: --start-from RUN --learner.engine eager"
+                ) from error
             torch._foreach_copy_(
                 [tensor for group in self._state for tensor in group],
                 [tensor for group in new for tensor in group],

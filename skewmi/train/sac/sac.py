@@ -191,8 +191,8 @@ class Sac:
             if self.engine == "compiled" and not can_compile(self.device):
                 raise CheckpointError(
                     "the run's updates were compiled, and there is no C++ compiler here: install "
-                    "one (g++, clang++), or begin another run with its networks, --start-from RUN "
-                    "--learner.engine eager"
+                    "one (g++ and python3-dev), or begin another run with its networks, "
+                    "--start-from RUN --learner.engine eager"
                 )
         self._compiled = None  # It holds the moments that are replaced here.
         try:

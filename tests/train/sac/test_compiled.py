@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import shutil
+import sysconfig
 from copy import deepcopy
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
 from train_runs import resumes_alike
 
 from skewmi.errors import CheckpointError, ConfigurationError
+from skewmi.train.sac import compiled as compiled_module
 from skewmi.train.sac import sac as sac_module
 from skewmi.train.sac.compiled import CompiledUpdate, can_compile
 from skewmi.train.sac.config import SacConfig
@@ -48,6 +51,7 @@ def without_code(monkeypatch: pytest.MonkeyPatch) -> list[CompiledUpdate]:
 
     monkeypatch.setattr(sac_module, "CompiledUpdate", make)
     monkeypatch.setattr(shutil, "which", lambda name: f"/usr/bin/{name}")
+    monkeypatch.setattr(compiled_module, "has_headers", lambda: True)
     return made
 
 
@@ -104,6 +108,7 @@ def test_goes_on_bit_for_bit_from_its_state(without_code) -> None:
 
 
 def test_a_run_keeps_its_engine(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiled_module, "has_headers", lambda: True)
     monkeypatch.setattr(shutil, "which", lambda name: f"/usr/bin/{name}")
     eager, auto = Sac(CONFIG, 5, 2, seed=0), Sac(replace(CONFIG, engine="auto"), 5, 2, seed=0)
     assert (eager.engine, auto.engine) == ("eager", "compiled")
@@ -121,6 +126,37 @@ def test_a_run_keeps_its_engine(monkeypatch: pytest.MonkeyPatch) -> None:
     assert eager.engine == "eager"
     with pytest.raises(ConfigurationError, match=r"C\+\+ compiler"):
         Sac(COMPILED, 5, 2, seed=0)
+
+
+def test_a_compiler_that_fails_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiled_module, "has_headers", lambda: True)
+    monkeypatch.setattr(shutil, "which", lambda name: f"/usr/bin/{name}")
+
+    def broken(*_: object) -> None:
+        raise RuntimeError("Python.h: No such file\nmore")
+
+    def make(sac: Sac) -> CompiledUpdate:
+        made = CompiledUpdate(sac, backend="eager")
+        made._update = broken  # type: ignore[assignment]
+        return made
+
+    monkeypatch.setattr(sac_module, "CompiledUpdate", make)
+    sac = Sac(COMPILED, 5, 2, seed=0)
+    given = batches(4)
+    for batch in given[:3]:
+        sac.update(batch)
+    with pytest.raises(ConfigurationError, match=r"Python\.h: No such file\); .*engine eager"):
+        sac.update(given[3])
+    assert sac.updates == 3
+
+
+def test_headers_are_needed_too(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(shutil, "which", lambda name: f"/usr/bin/{name}")
+    monkeypatch.setattr(sysconfig, "get_path", lambda name: str(tmp_path))
+    assert not can_compile(torch.device("cpu"))
+    (tmp_path / "Python.h").touch()
+    assert can_compile(torch.device("cpu"))
+    assert not can_compile(torch.device("meta"))
 
 
 @pytest.mark.parametrize("numbers", [{"engine": "fast"}, {"compile_after": 0}])
