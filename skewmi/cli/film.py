@@ -67,11 +67,7 @@ class FilmCommand:
 
 def run_film(options: FilmCommand) -> int:
     """Draw. Returns 0."""
-    numbers.require("--rate", options.rate, MIN_RATE, MAX_RATE)
-    numbers.require("--frames", options.frames, 1, MAX_FRAMES)
-    numbers.require("--episode", options.episode, 1, numbers.MAX_EPISODES)
-    numbers.require("--width", options.width, 1, MAX_SIZE)
-    numbers.require("--height", options.height, 1, MAX_SIZE)
+    _require_numbers(options)
     out = options.out if options.out is not None else options.recording.with_suffix(".gif")
     check_output(out, overwrite=options.overwrite, inputs=[options.recording, options.strip])
     if options.strip is not None:
@@ -127,3 +123,12 @@ def run_film(options: FilmCommand) -> int:
     }
     print(json.dumps(document) if options.json else "wrote " + " and ".join(written))
     return 0
+
+
+def _require_numbers(options: FilmCommand) -> None:
+    """Raises ConfigurationError for a number that makes no sense."""
+    numbers.require("--rate", options.rate, MIN_RATE, MAX_RATE)
+    numbers.require("--frames", options.frames, 1, MAX_FRAMES)
+    numbers.require("--episode", options.episode, 1, numbers.MAX_EPISODES)
+    numbers.require("--width", options.width, 1, MAX_SIZE)
+    numbers.require("--height", options.height, 1, MAX_SIZE)
