@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import onnx
+import onnxruntime
 import pytest
+from costs import cost_ratio
 from onnx import helper, numpy_helper
 from policy_graphs import LAYOUT, SIZE, WEIGHT, graph, metadata, recurrent_graph, write
 
@@ -125,11 +126,8 @@ def test_loads_without_torch_and_onnx(path: Path) -> None:
     assert result.stderr == ""
 
 
-def test_one_observation_takes_less_than_100_us(tmp_path: Path) -> None:
-    """With the network of the paper's size.
-
-    Its thread's time on the processor, of the quicker ones: others use caches and cores, too.
-    """
+def test_one_observation_costs_little_more_than_onnxruntime(tmp_path: Path) -> None:
+    """With the network of the paper's size, 1.6 to 1.7 times; 50 us of a quick computer."""
     wide = np.random.default_rng(3).normal(size=(128, 128)).astype(np.float32) / 12
     model = graph(np.random.default_rng(4).normal(size=(3, 128)).astype(np.float32))
     nodes = list(model.graph.node)
@@ -145,11 +143,11 @@ def test_one_observation_takes_less_than_100_us(tmp_path: Path) -> None:
     model.graph.initializer.append(numpy_helper.from_array(wide, "wide"))
     model.graph.initializer.append(numpy_helper.from_array(wide[:, :2], "head"))
     model.graph.output[0].type.tensor_type.shape.dim[1].dim_value = 2
-    policy = OnnxPolicy.load(write(tmp_path / "policy.onnx", model, metadata()))
+    path = write(tmp_path / "policy.onnx", model, metadata())
+    policy = OnnxPolicy.load(path)
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    bare = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+    feed = {"observation": np.zeros((1, 3), np.float32)}
     observation = np.zeros(3)
-    times = []
-    for _ in range(500):
-        started = time.thread_time()
-        policy.act(observation)
-        times.append(time.thread_time() - started)
-    assert np.percentile(times, 20) < 100e-6
+    assert cost_ratio(lambda: policy.act(observation), lambda: bare.run(None, feed)) < 3.0

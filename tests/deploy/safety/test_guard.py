@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 
 import mujoco
 import numpy as np
 import pytest
+from costs import cost_ratio
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -240,11 +240,10 @@ def test_numbers_must_be_finite(guard: Guard, which: int) -> None:
 
 
 def test_is_cheap(guard: Guard) -> None:
+    """Half of what the other kinematics take for the same samples; 0.7 ms of a slow computer."""
     chunk = still(START, 25)
-    guard.check(*chunk)
-    times = []
-    for _ in range(30):
-        begin = time.perf_counter()
-        guard.check(*chunk)
-        times.append(time.perf_counter() - begin)
-    assert np.median(times) < 0.003
+    kinematics = ArmKinematics("right")
+    ratio = cost_ratio(
+        lambda: guard.check(*chunk), lambda: [kinematics.forward(q) for q in chunk[0]], 50
+    )
+    assert ratio < 1.2
