@@ -12,8 +12,9 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
-from skewmi.cli.train_config import resolve
+from skewmi.cli.train_config import load_teacher, resolve
 from skewmi.cli.train_options import TrainCommand, default_options
+from skewmi.policy_io import Policy
 from skewmi.sim import tasks
 from skewmi.train import run
 from skewmi.train.config import TrainConfig
@@ -28,6 +29,7 @@ def train(
     *,
     resume: bool = False,
     start_from: Path | None = None,
+    teacher: Policy | None = None,
     progress: bool = True,
 ) -> TrainResult:
     """Make the environment of a configuration and train, see `skewmi.train.run.run_train`."""
@@ -39,7 +41,13 @@ def train(
         **dict(config.task_options),
     )
     return run.run_train(
-        config, env, run_dir, resume=resume, start_from=start_from, progress=progress
+        config,
+        env,
+        run_dir,
+        resume=resume,
+        start_from=start_from,
+        teacher=teacher,
+        progress=progress,
     )
 
 
@@ -78,6 +86,7 @@ def run_train(options: TrainCommand) -> int:
         options.run_dir,
         resume=options.resume,
         start_from=options.start_from,
+        teacher=load_teacher(options),
         progress=not options.quiet,
     )
     print(json.dumps(asdict(result), indent=2) if options.json else as_text(result))

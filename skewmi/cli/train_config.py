@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import replace
+from pathlib import Path
 
+from skewmi import policies
 from skewmi.cli import numbers
 from skewmi.cli.policies import task_options
 from skewmi.cli.task_flags import calibration_option, variation_option
 from skewmi.cli.train_options import TrainCommand, changed_flags, origin_config
-from skewmi.errors import ConfigurationError
+from skewmi.errors import ConfigurationError, NotFoundError, did_you_mean
+from skewmi.policy_io import Policy
 from skewmi.train.checkpoint import read_checkpoint, read_run_header
 from skewmi.train.config import TrainConfig
 from skewmi.train.registry import entry_of
@@ -62,6 +66,11 @@ def _refuse_changes(
 def begun_from(options: TrainCommand, config: TrainConfig) -> TrainConfig:
     """The configuration of a run that begins with another one's networks and episodes."""
     assert options.start_from is not None
+    if options.teacher is not None:
+        raise ConfigurationError(
+            "--teacher acts at the beginning of a run from scratch, and --start-from begins with "
+            "what another run has learned: leave out one of the two"
+        )
     why = f"--start-from takes task and numbers from the run in {options.start_from}"
     _refuse_changes(options, config, why)
     origin = started_from(options.start_from, read_checkpoint(options.start_from))
@@ -88,6 +97,7 @@ def resumed(options: TrainCommand, config: TrainConfig) -> TrainConfig:
         seed=(options.seed, config.seed),
         threads=(options.threads, config.threads),
         device=(options.device, config.device),
+        teacher=(_taught_by(options) or None, config.taught_by or "none"),
         unrewarded=(options.unrewarded or None, not config.rewarded),
         start_from=(
             None if start_from is None else start_from.resolve().name,
@@ -126,6 +136,7 @@ def begun(options: TrainCommand, config: TrainConfig) -> TrainConfig:
     varied = _robot_options(options, config.task)
     return replace(
         config,
+        taught_by=_taught_by(options),
         rewarded=not options.unrewarded,
         seed=options.seed or 0,
         device=options.device or "cpu",
@@ -136,6 +147,39 @@ def begun(options: TrainCommand, config: TrainConfig) -> TrainConfig:
         rollout=rollout,
         metrics=options.numbers.metrics,
     )
+
+
+def load_teacher(options: TrainCommand) -> Policy | None:
+    """The policy that --teacher names.
+
+    Raises:
+        NotFoundError: There is none of that name.
+        PolicyFileError, LayoutMismatchError: It is a file, but no policy.
+    """
+    if options.teacher is None:
+        return None
+    from skewmi.deploy.policy import OnnxPolicy  # onnxruntime, for those alone who need it
+
+    return OnnxPolicy.load(_teacher_file(options.teacher))
+
+
+def _teacher_file(name: str) -> Path:
+    path = policies.locate(Path(name))
+    if not path.is_file():
+        bundled = ", ".join(policies.bundled()) or "none"
+        raise NotFoundError(
+            f"--teacher {name}: there is no such file; give an ONNX file of skewmi export-onnx, or "
+            f"the name of a bundled policy ({bundled}){did_you_mean(name, policies.bundled())}"
+        )
+    return path
+
+
+def _taught_by(options: TrainCommand) -> str:
+    """What a configuration says of the teacher: its file's name, and what is in it."""
+    if options.teacher is None:
+        return ""
+    path = _teacher_file(options.teacher)
+    return f"{path.name}, sha256 {hashlib.sha256(path.read_bytes()).hexdigest()}"
 
 
 def _check_numbers(options: TrainCommand) -> None:

@@ -76,6 +76,10 @@ class TrainCommand(Origin):
     unrewarded: bool = False
     """Explore only: the task has no target and pays nothing. Goes on for the whole budget and
     measures coverage and entropy at every refresh of its goals."""
+    teacher: str | None = None
+    """A policy that can do something of the task already, say the bundled one under another
+    variation: name of a bundled policy, or ONNX file. It acts for the first
+    --rollout.taught-steps instead of random actions, and the learner learns from what it did."""
     num_envs: int | None = None
     """Environments stepped together; default: the preset's."""
     option: tyro.conf.UseAppendAction[tuple[str, ...]] = ()

@@ -32,6 +32,12 @@ class RolloutConfig:
     a policy that seems to be done is soon known; 0: never more than evaluation_envs."""
     random_steps: int = 5_000
     """Environment steps of uniform random actions at the start."""
+    taught_steps: int = 25_000
+    """Environment steps at the start that a teacher acts instead of random ones, if there is one
+    (--teacher)."""
+    taught_noise_probability: float = 0.5
+    """Probability that an episode of the teacher ends in random motion, from a uniformly drawn
+    step on: so that the learner sees what the teacher does not do."""
     noise_probability: float = 0.4
     """Probability that an episode ends in random motion, from a uniformly drawn step on."""
     noise_correlation: float = 0.85
@@ -44,7 +50,8 @@ class RolloutConfig:
             0 <= self.evaluation_envs < max(self.num_envs, 1),
             f"evaluation_envs is {self.evaluation_envs}, must be below num_envs {self.num_envs}",
         )
-        for name in ("noise_probability", "evaluation_share"):
+        require(self.taught_steps >= 1, f"taught_steps is {self.taught_steps}, needs at least 1")
+        for name in ("noise_probability", "taught_noise_probability", "evaluation_share"):
             share = getattr(self, name)
             require(0.0 <= share <= 1.0, f"{name} is {share}, must lie in [0, 1]")
         require(
@@ -107,6 +114,8 @@ class TrainConfig:
     started_from: str = ""
     """The run whose networks and replay this one began with, and at which step; empty: from
     scratch."""
+    taught_by: str = ""
+    """The policy file whose actions begin this run, and its sha256; empty: random actions do."""
     rewarded: bool = True
     """Whether the task's reward is paid; if not, there is no target: the run explores for its
     whole budget."""

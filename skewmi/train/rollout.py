@@ -5,60 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skewmi.batch_env import BatchEnv
 from skewmi.policy_io import Array
+from skewmi.train.beginning import Beginning
 from skewmi.train.exploration.protocol import Exploration
 from skewmi.train.learner import Hidden, Learner, Rollout
+from skewmi.train.noise import ExplorationNoise
 from skewmi.train.replay import Episodes
-
-
-class ExplorationNoise:
-    """Correlated random actions from a drawn step of an episode to its end.
-
-    a_t = rho a_{t-1} + sqrt(1 - rho^2) e_t with e_t standard normal: stays away from the
-    policy's habits for long enough to get somewhere, which white noise does not.
-
-    Args:
-        shape: Episodes, steps of each, size of an action.
-        probability: That an episode ends so.
-        correlation: rho.
-        spared: The first so many episodes get none.
-        generator: Of everything random here.
-    """
-
-    def __init__(
-        self,
-        shape: tuple[int, int, int],
-        *,
-        probability: float,
-        correlation: float,
-        spared: int,
-        generator: np.random.Generator,
-    ) -> None:
-        num_envs, steps, action_dim = shape
-        self.correlation = correlation
-        self.generator = generator
-        begin = generator.integers(0, steps, size=num_envs)
-        self.begin = np.where(generator.random(num_envs) < probability, begin, steps)
-        self.begin[:spared] = steps
-        self.noise: Array = generator.standard_normal((num_envs, action_dim))
-
-    def apply(self, step: int, action: Array, wandering: NDArray[np.bool_] | None = None) -> Array:
-        """Replace the actions of the episodes whose noise has begun, and of some others.
-
-        Args:
-            step: Of the episodes.
-            action: The policy's. Shape (n, action_dim).
-            wandering: The others. Shape (n,).
-        """
-        innovation = self.generator.standard_normal(self.noise.shape)
-        self.noise = self.correlation * self.noise + np.sqrt(1 - self.correlation**2) * innovation
-        chosen = step >= self.begin
-        if wandering is not None:
-            chosen = chosen | wandering
-        return np.where(chosen[:, None], np.clip(self.noise, -1.0, 1.0), action)
 
 
 def collect(
@@ -70,7 +24,7 @@ def collect(
     evaluation: int,
     noise_probability: float,
     noise_correlation: float,
-    random_actions: bool,
+    beginning: Beginning | None = None,
     rewarded: bool = True,
 ) -> Rollout:
     """Run one episode in every environment.
@@ -85,7 +39,7 @@ def collect(
         generator: Of everything random but the policy's own noise.
         evaluation: The first so many episodes are deterministic, see `Exploration.begin`.
         noise_probability, noise_correlation: See `ExplorationNoise`.
-        random_actions: Uniform actions instead of the policy's.
+        beginning: Gives the actions instead of the learner.
         rewarded: Whether the task's reward is paid.
     """
     n, layout = env.num_envs, env.layout
@@ -102,12 +56,14 @@ def collect(
     goals = np.empty((n, steps, exploration.goal_dim))
     actions, rewards = np.empty((n, steps, dim)), np.empty((n, steps))
     observations[:, 0] = env.reset()
+    if beginning is not None:
+        beginning.begin((n, steps, dim), evaluation, generator)
     hidden: Hidden | None = None
     notes: list[Mapping[str, Array]] = []
     for t in range(steps):
         goals[:, t] = exploration.goals(t, observations[:, t])
-        if random_actions:
-            action = generator.uniform(-1.0, 1.0, (n, dim))
+        if beginning is not None:
+            action = beginning.act(t, observations[:, t])
         else:
             decision = learner.act(observations[:, t], goals[:, t], hidden, evaluation)
             hidden = decision.hidden

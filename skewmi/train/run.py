@@ -10,7 +10,7 @@ import torch
 
 from skewmi.batch_env import BatchEnv
 from skewmi.errors import CheckpointError, ConfigurationError
-from skewmi.policy_io import require_same_layout
+from skewmi.policy_io import Policy, require_same_layout
 from skewmi.train.checkpoint import (
     Checkpoint,
     read_checkpoint,
@@ -64,6 +64,7 @@ def run_train(
     *,
     resume: bool = False,
     start_from: Path | None = None,
+    teacher: Policy | None = None,
     progress: bool = True,
 ) -> TrainResult:
     """Train in `run_dir` until a budget is spent or, if asked for, until convergence.
@@ -78,6 +79,8 @@ def run_train(
         resume: Continue from the latest checkpoint; with none yet, start.
         start_from: Directory of another run, of the same networks and layout: a new run begins
             with its networks, episodes and counters, say under another variation of the model.
+        teacher: Acts for the first `taught_steps` of a run that is taught
+            (`TrainConfig.taught_by`).
         progress: Bar on standard error.
 
     Raises:
@@ -91,21 +94,15 @@ def run_train(
     torch.set_num_threads(config.threads)
     keep_freed_memory()
     with only_training(run_dir):
-        return _train(config, env, run_dir, resume, start_from, progress=progress, started=started)
+        runner, resumed_at = _open(config, env, run_dir, resume, start_from, teacher)
+        return _train(runner, run_dir, resumed_at, progress=progress, started=started)
 
 
 def _train(
-    config: TrainConfig,
-    env: BatchEnv,
-    run_dir: Path,
-    resume: bool,
-    start_from: Path | None,
-    *,
-    progress: bool,
-    started: float,
+    runner: Runner, run_dir: Path, resumed_at: int | None, *, progress: bool, started: float
 ) -> TrainResult:
-    """`run_train` in a directory that is ours alone."""
-    runner, resumed_at = _open(config, env, run_dir, resume, start_from)
+    """`run_train` in a directory that is ours alone, from where the runner is."""
+    config = runner.config
     before = earlier_seconds(run_dir) if resumed_at is not None else 0.0
     own = (*runner.learner.metrics, *runner.exploration.metrics)
     table = MetricsTable(run_dir, (*COLUMNS, *own, *TIME_COLUMNS), resumed_at)
@@ -199,9 +196,16 @@ def earlier_seconds(run_dir: Path) -> float:
 
 
 def _open(
-    config: TrainConfig, env: BatchEnv, run_dir: Path, resume: bool, start_from: Path | None
+    config: TrainConfig,
+    env: BatchEnv,
+    run_dir: Path,
+    resume: bool,
+    start_from: Path | None,
+    teacher: Policy | None,
 ) -> tuple[Runner, int | None]:
     """The runner, and the step of the checkpoint it continues from."""
+    if teacher is not None:
+        require_same_layout(env.layout, teacher.layout, "the teacher")
     exists = (run_dir / "config.json").exists()
     if exists and not resume:
         raise ConfigurationError(
@@ -213,7 +217,10 @@ def _open(
         _require_same_config(config, earlier, run_dir)
     has_checkpoint = exists and any((run_dir / "checkpoints").glob("[0-9]*"))
     origin = None if has_checkpoint else _origin(config, env, run_dir, start_from)
-    runner = Runner(config, env)  # before anything is written: it refuses what does not fit
+    # Before anything is written: it refuses what does not fit.
+    runner = Runner(config, env, teacher)
+    if not has_checkpoint:
+        _require_teacher(runner, run_dir)
     write_run_header(run_dir, config, env.layout)
     if origin is not None:
         runner.begin_with(origin)
@@ -223,7 +230,18 @@ def _open(
     if checkpoint.state.get("layout_hash") != env.layout.hash():
         raise CheckpointError(f"checkpoint {checkpoint.path} was made for another layout")
     runner.load(checkpoint)
+    _require_teacher(runner, run_dir)
     return runner, runner.steps
+
+
+def _require_teacher(runner: Runner, run_dir: Path) -> None:
+    """A run that is still being taught needs its teacher."""
+    taught_by = runner.config.taught_by
+    require(
+        not taught_by or runner.teacher is not None or runner.steps >= runner.begins_for,
+        f"the run in {run_dir} is taught by {taught_by} for its first {runner.begins_for} steps "
+        f"and is at step {runner.steps}: give the same --teacher again",
+    )
 
 
 def _origin(

@@ -11,11 +11,12 @@ import numpy as np
 
 from skewmi.batch_env import BatchEnv
 from skewmi.errors import CheckpointError
-from skewmi.policy_io import Array
+from skewmi.policy_io import Array, Policy
+from skewmi.train.beginning import Beginning, RandomBeginning, TaughtBeginning
 from skewmi.train.blocks import read_blocks
 from skewmi.train.checkpoint import Checkpoint
 from skewmi.train.checks import require
-from skewmi.train.config import RolloutConfig, TrainConfig
+from skewmi.train.config import TrainConfig
 from skewmi.train.convergence import Convergence
 from skewmi.train.learner import Rollout
 from skewmi.train.metrics import CoverageMetrics
@@ -29,19 +30,24 @@ from skewmi.train.state import State
 class Runner:
     """Everything that changes during a run; `state_dict` and `load` carry all of it.
 
+    Args:
+        config: Of the run.
+        env: As many environments as it says.
+        teacher: Acts at the beginning of a run that is taught; not needed once that is over.
+
     Raises:
         ConfigurationError: Learner, exploration, environment and metrics do not go together.
     """
 
-    def __init__(self, config: TrainConfig, env: BatchEnv) -> None:
+    def __init__(self, config: TrainConfig, env: BatchEnv, teacher: Policy | None = None) -> None:
         layout = env.layout
-        self.config, self.env, self.layout = config, env, layout
+        self.config, self.env, self.layout, self.teacher = config, env, layout, teacher
         self.generator = np.random.default_rng([config.seed, 1])
         self.exploration = make_exploration(config.exploration, layout, self.generator)
         goal_dim = self.exploration.goal_dim
         self.learner = make_learner(config.learner, layout, goal_dim, config.seed, config.device)
         if self.learner.on_policy:
-            _require_own_actions(config.rollout)
+            _require_own_actions(config)
             require(
                 not self.exploration.moves_at_random,
                 "this learner is on-policy: it needs an exploration that leaves all actions to it, "
@@ -69,6 +75,25 @@ class Runner:
         return c.rollout.most_evaluation_envs if done else c.rollout.evaluation_envs
 
     @property
+    def begins_for(self) -> int:
+        """Environment steps before the learner acts and learns."""
+        rollout = self.config.rollout
+        return rollout.taught_steps if self.config.taught_by else rollout.random_steps
+
+    def _beginning(self) -> Beginning | None:
+        """What acts instead of the learner in the next episodes."""
+        if self.steps >= self.begins_for:
+            return None
+        if not self.config.taught_by:
+            return RandomBeginning()
+        assert self.teacher is not None  # `run_train` sees to it
+        return TaughtBeginning(
+            self.teacher,
+            noise_probability=self.config.rollout.taught_noise_probability,
+            noise_correlation=self.config.rollout.noise_correlation,
+        )
+
+    @property
     def episodes(self) -> int:
         """Finished so far."""
         return self.history.count
@@ -81,6 +106,7 @@ class Runner:
         """
         c = self.config
         started = time.perf_counter()
+        beginning = self._beginning()
         rollout = collect(
             self.env,
             self.learner,
@@ -89,17 +115,17 @@ class Runner:
             evaluation=self._evaluation_envs(),
             noise_probability=c.rollout.noise_probability,
             noise_correlation=c.rollout.noise_correlation,
-            random_actions=self.steps < c.rollout.random_steps,
+            beginning=beginning,
             rewarded=c.rewarded,
         )
-        term, new = self._keep(rollout)
+        term, new = self._keep(rollout, taught=isinstance(beginning, TaughtBeginning))
         collected = time.perf_counter()
         refreshes = self.exploration.refreshes
         metrics = self.exploration.refresh(self.history, self.steps, self.generator)
         metrics |= self._measure(rollout, refreshed=self.exploration.refreshes > refreshes)
         refreshed = time.perf_counter()
-        # Nothing is learned before the random beginning is over.
-        if self.steps >= min(c.rollout.random_steps, c.total_steps):
+        # Nothing is learned before the beginning is over.
+        if self.steps >= min(self.begins_for, c.total_steps):
             metrics |= self._learn(rollout, term)
         self.iteration += 1
         metrics |= {
@@ -112,7 +138,7 @@ class Runner:
         }
         return metrics, new
 
-    def _keep(self, rollout: Rollout) -> tuple[Array, list[str]]:
+    def _keep(self, rollout: Rollout, *, taught: bool) -> tuple[Array, list[str]]:
         """Remember finished episodes; their trajectory term, and events met for the first time."""
         episodes = rollout.episodes
         term = self.exploration.observe(episodes)
@@ -123,10 +149,11 @@ class Runner:
         self.coverage.add(reached[..., :d].reshape(-1, d))
         self.steps += episodes.rewards.size
         self.rewarded_episodes += int((episodes.rewards > 0.0).any(1).sum())
-        counted = _counted(rollout)
-        self.convergence.add(
-            episodes.observations[counted], episodes.rewards[counted], self.episodes
-        )
+        if not taught:  # what a teacher can do is not what this run has learned
+            counted = _counted(rollout)
+            self.convergence.add(
+                episodes.observations[counted], episodes.rewards[counted], self.episodes
+            )
         return term, new
 
     def _measure(self, rollout: Rollout, *, refreshed: bool) -> dict[str, float]:
@@ -231,8 +258,13 @@ def _counted(rollout: Rollout) -> slice:
     return slice(rollout.evaluation or None)
 
 
-def _require_own_actions(rollout: RolloutConfig) -> None:
+def _require_own_actions(config: TrainConfig) -> None:
     """An on-policy learner learns from what its own policy did, so nothing may replace that."""
+    rollout = config.rollout
+    require(
+        not config.taught_by,
+        "this learner is on-policy: it cannot learn from what a teacher did; leave out --teacher",
+    )
     require(
         rollout.random_steps == 0 and rollout.noise_probability == 0.0,
         f"this learner is on-policy: it needs rollout.random_steps 0, not {rollout.random_steps}, "
