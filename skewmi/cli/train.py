@@ -57,6 +57,8 @@ def as_text(result: TrainResult) -> str:
         f"{result.steps:,} steps, {result.trajectories:,} trajectories in "
         f"{result.seconds / 60:.1f} min (stopped by {result.stopped_by}); run: {result.run_dir}"
     ]
+    if result.taught_by:
+        lines.append(f"  begun by {result.taught_by[:32]}..., whose episodes are counted below")
     lines += [
         f"  first {name}: trajectory {first['trajectory']:,}"
         for name, first in result.discoveries.items()

@@ -39,6 +39,8 @@ class TrainResult:
     trajectories: int
     rewarded: bool
     """Whether the task's reward was paid."""
+    taught_by: str
+    """The policy file that began it, or empty."""
     refreshes: int
     """Of the exploration."""
     converged_at: int | None
@@ -119,6 +121,7 @@ def _train(
         steps=runner.steps,
         trajectories=runner.episodes,
         rewarded=config.rewarded,
+        taught_by=config.taught_by,
         refreshes=runner.exploration.refreshes,
         converged_at=runner.convergence.at,
         converged_at_paper=runner.convergence.published_at,

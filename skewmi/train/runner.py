@@ -125,7 +125,8 @@ class Runner:
         metrics |= self._measure(rollout, refreshed=self.exploration.refreshes > refreshes)
         refreshed = time.perf_counter()
         # Nothing is learned before the beginning is over.
-        if self.steps >= min(self.begins_for, c.total_steps):
+        over = self.begins_for if c.taught_by else min(self.begins_for, c.total_steps)
+        if self.steps >= over:
             metrics |= self._learn(rollout, term)
         self.iteration += 1
         metrics |= {
