@@ -79,7 +79,8 @@ class TrainCommand(Origin):
     teacher: str | None = None
     """A policy that can do something of the task already, say the bundled one under another
     variation: name of a bundled policy, or ONNX file. It acts for the first
-    --rollout.taught-steps instead of random actions, and the learner learns from what it did."""
+    --rollout.taught-steps instead of random actions, and begins a part of the later episodes; the
+    learner learns from what it did."""
     num_envs: int | None = None
     """Environments stepped together; default: the preset's."""
     option: tyro.conf.UseAppendAction[tuple[str, ...]] = ()

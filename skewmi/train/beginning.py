@@ -1,18 +1,21 @@
-"""What acts at the beginning of a run, before the learner does: random actions, or a teacher."""
+"""What acts instead of the learner: random actions or a teacher, at first or in some episodes."""
 
 from __future__ import annotations
 
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skewmi.errors import PolicyFileError
 from skewmi.policy_io import Array, Policy
 from skewmi.train.noise import ExplorationNoise
 
+Chosen = NDArray[np.bool_]
+
 
 class Beginning(Protocol):
-    """Gives the actions of whole episodes instead of the learner."""
+    """Gives actions instead of the learner: of whole episodes, or of how they begin."""
 
     def begin(
         self, shape: tuple[int, int, int], evaluation: int, generator: np.random.Generator
@@ -25,12 +28,20 @@ class Beginning(Protocol):
             generator: Of everything random until the episodes' end.
         """
 
-    def act(self, step: int, observations: Array) -> Array:
-        """Actions of one step. Shape (n, observation_dim) -> (n, action_dim)."""
+    def act(self, step: int, observations: Array) -> tuple[Array, Chosen]:
+        """Actions of one step, and in which episodes they replace the learner's.
+
+        Args:
+            step: Of the episodes.
+            observations: Shape (n, observation_dim).
+
+        Returns:
+            Shapes (n, action_dim) and (n,).
+        """
 
 
 class RandomBeginning:
-    """Uniform random actions."""
+    """Uniform random actions, of whole episodes."""
 
     def begin(
         self, shape: tuple[int, int, int], evaluation: int, generator: np.random.Generator
@@ -38,13 +49,14 @@ class RandomBeginning:
         """See `Beginning`."""
         self._shape, self._generator = (shape[0], shape[2]), generator
 
-    def act(self, step: int, observations: Array) -> Array:
+    def act(self, step: int, observations: Array) -> tuple[Array, Chosen]:
         """See `Beginning`."""
-        return self._generator.uniform(-1.0, 1.0, self._shape)
+        actions = self._generator.uniform(-1.0, 1.0, self._shape)
+        return actions, np.ones(len(actions), np.bool_)
 
 
 class TaughtBeginning:
-    """The actions of a policy that can do something of the task already.
+    """Whole episodes of a policy that can do something of the task already.
 
     Args:
         teacher: For the same observations and actions.
@@ -71,13 +83,52 @@ class TaughtBeginning:
             generator=generator,
         )
 
-    def act(self, step: int, observations: Array) -> Array:
+    def act(self, step: int, observations: Array) -> tuple[Array, Chosen]:
         """See `Beginning`.
 
         Raises:
             PolicyFileError: The teacher's actions are not finite.
         """
-        action = self._teacher.act(observations)
-        if not np.isfinite(action).all():
-            raise PolicyFileError("the teacher's actions are not finite: it cannot begin a run")
-        return self._noise.apply(step, np.clip(action, -1.0, 1.0))
+        actions = self._noise.apply(step, _taught(self._teacher, observations))
+        return actions, np.ones(len(actions), np.bool_)
+
+
+class HandOver:
+    """A teacher begins some episodes and hands them over to the learner at a drawn step.
+
+    What the learner believes of states that only the teacher gets to is corrected there, and not
+    after it has found its own way to them. (Uchendu et al., Jump-start reinforcement learning,
+    arXiv:2204.02372, hand over at steps of a curriculum.)
+
+    Args:
+        teacher: See `TaughtBeginning`.
+        probability: That it begins an episode.
+    """
+
+    def __init__(self, teacher: Policy, probability: float) -> None:
+        self._teacher, self._probability = teacher, probability
+
+    def begin(
+        self, shape: tuple[int, int, int], evaluation: int, generator: np.random.Generator
+    ) -> None:
+        """See `Beginning`."""
+        self._teacher.reset()
+        n, steps, _ = shape
+        drawn = generator.integers(0, steps, size=n)
+        self._until = np.where(generator.random(n) < self._probability, drawn, 0)
+        self._until[:evaluation] = 0
+
+    def act(self, step: int, observations: Array) -> tuple[Array, Chosen]:
+        """See `Beginning`.
+
+        Raises:
+            PolicyFileError: The teacher's actions are not finite.
+        """
+        return _taught(self._teacher, observations), step < self._until
+
+
+def _taught(teacher: Policy, observations: Array) -> Array:
+    actions = teacher.act(observations)
+    if not np.isfinite(actions).all():
+        raise PolicyFileError("the teacher's actions are not finite: it cannot teach")
+    return np.clip(actions, -1.0, 1.0)

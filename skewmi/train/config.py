@@ -17,6 +17,9 @@ OptionValue = bool | int | float | str
 """Of an option that a task's environment is made with."""
 
 
+_SHARES = ("noise_probability", "taught_noise_probability", "taught_share", "evaluation_share")
+
+
 @dataclass(frozen=True)
 class RolloutConfig:
     """How episodes are collected and kept."""
@@ -38,6 +41,9 @@ class RolloutConfig:
     taught_noise_probability: float = 0.5
     """Probability that an episode of the teacher ends in random motion, from a uniformly drawn
     step on: so that the learner sees what the teacher does not do."""
+    taught_share: float = 0.5
+    """Of the later episodes, the teacher begins and hands over at a uniformly drawn step, until
+    the run has converged; 0: none."""
     noise_probability: float = 0.4
     """Probability that an episode ends in random motion, from a uniformly drawn step on."""
     noise_correlation: float = 0.85
@@ -51,7 +57,7 @@ class RolloutConfig:
             f"evaluation_envs is {self.evaluation_envs}, must be below num_envs {self.num_envs}",
         )
         require(self.taught_steps >= 1, f"taught_steps is {self.taught_steps}, needs at least 1")
-        for name in ("noise_probability", "taught_noise_probability", "evaluation_share"):
+        for name in _SHARES:
             share = getattr(self, name)
             require(0.0 <= share <= 1.0, f"{name} is {share}, must lie in [0, 1]")
         require(
@@ -144,4 +150,9 @@ class TrainConfig:
             self.rewarded or not self.stop_on_convergence,
             "stop_on_convergence is asked for, but the run is unrewarded, and without a reward "
             "nothing converges: leave out one of the two",
+        )
+        require(
+            not self.taught_by or self.rollout.evaluation_envs >= 1,
+            "a run with a teacher needs episodes that are the learner's own to tell whether the "
+            "task is learned: give --rollout.evaluation-envs 1 or more",
         )

@@ -39,7 +39,7 @@ def collect(
         generator: Of everything random but the policy's own noise.
         evaluation: The first so many episodes are deterministic, see `Exploration.begin`.
         noise_probability, noise_correlation: See `ExplorationNoise`.
-        beginning: Gives the actions instead of the learner.
+        beginning: Gives actions instead of the learner, all or some.
         rewarded: Whether the task's reward is paid.
     """
     n, layout = env.num_envs, env.layout
@@ -62,13 +62,16 @@ def collect(
     notes: list[Mapping[str, Array]] = []
     for t in range(steps):
         goals[:, t] = exploration.goals(t, observations[:, t])
-        if beginning is not None:
-            action = beginning.act(t, observations[:, t])
+        given = beginning.act(t, observations[:, t]) if beginning is not None else None
+        if given is not None and given[1].all():
+            action = given[0]
         else:
             decision = learner.act(observations[:, t], goals[:, t], hidden, evaluation)
             hidden = decision.hidden
             notes.append(decision.notes)
             action = noise.apply(t, decision.action, exploration.wandering())
+            if given is not None:
+                action = np.where(given[1][:, None], given[0], action)
         result = env.step(action)
         actions[:, t], rewards[:, t] = action, result.reward if rewarded else 0.0
         observations[:, t + 1] = result.observation

@@ -81,8 +81,7 @@ def run_train(
         resume: Continue from the latest checkpoint; with none yet, start.
         start_from: Directory of another run, of the same networks and layout: a new run begins
             with its networks, episodes and counters, say under another variation of the model.
-        teacher: Acts for the first `taught_steps` of a run that is taught
-            (`TrainConfig.taught_by`).
+        teacher: Of a run that is taught (`TrainConfig.taught_by`), until it has converged.
         progress: Bar on standard error.
 
     Raises:
@@ -241,9 +240,9 @@ def _require_teacher(runner: Runner, run_dir: Path) -> None:
     """A run that is still being taught needs its teacher."""
     taught_by = runner.config.taught_by
     require(
-        not taught_by or runner.teacher is not None or runner.steps >= runner.begins_for,
-        f"the run in {run_dir} is taught by {taught_by} for its first {runner.begins_for} steps "
-        f"and is at step {runner.steps}: give the same --teacher again",
+        runner.teacher is not None or not runner.needs_teacher,
+        f"the run in {run_dir} is taught by {taught_by} and has not converged at step "
+        f"{runner.steps}: give the same --teacher again",
     )
 
 

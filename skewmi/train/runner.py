@@ -12,7 +12,7 @@ import numpy as np
 from skewmi.batch_env import BatchEnv
 from skewmi.errors import CheckpointError
 from skewmi.policy_io import Array, Policy
-from skewmi.train.beginning import Beginning, RandomBeginning, TaughtBeginning
+from skewmi.train.beginning import Beginning, HandOver, RandomBeginning, TaughtBeginning
 from skewmi.train.blocks import read_blocks
 from skewmi.train.checkpoint import Checkpoint
 from skewmi.train.checks import require
@@ -33,7 +33,7 @@ class Runner:
     Args:
         config: Of the run.
         env: As many environments as it says.
-        teacher: Acts at the beginning of a run that is taught; not needed once that is over.
+        teacher: Of a run that is taught, see `needs_teacher`.
 
     Raises:
         ConfigurationError: Learner, exploration, environment and metrics do not go together.
@@ -82,16 +82,27 @@ class Runner:
 
     def _beginning(self) -> Beginning | None:
         """What acts instead of the learner in the next episodes."""
-        if self.steps >= self.begins_for:
-            return None
+        rollout, at_first = self.config.rollout, self.steps < self.begins_for
         if not self.config.taught_by:
-            return RandomBeginning()
+            return RandomBeginning() if at_first else None
+        if not self.needs_teacher:
+            return None
         assert self.teacher is not None  # `run_train` sees to it
+        if not at_first:
+            return HandOver(self.teacher, rollout.taught_share)
         return TaughtBeginning(
             self.teacher,
-            noise_probability=self.config.rollout.taught_noise_probability,
-            noise_correlation=self.config.rollout.noise_correlation,
+            noise_probability=rollout.taught_noise_probability,
+            noise_correlation=rollout.noise_correlation,
         )
+
+    @property
+    def needs_teacher(self) -> bool:
+        """Whether a teacher acts in the next episodes."""
+        if not self.config.taught_by:
+            return False
+        later = self.convergence.at is None and self.config.rollout.taught_share > 0.0
+        return later or self.steps < self.begins_for
 
     @property
     def episodes(self) -> int:
