@@ -57,7 +57,13 @@ def kept(runner: Runner, monkeypatch: pytest.MonkeyPatch) -> list[Episodes]:
 @pytest.fixture
 def taught(corridor_config: TrainConfig) -> TrainConfig:
     """Two iterations of the teacher, two of the learner."""
-    rollout = replace(corridor_config.rollout, taught_steps=2 * ENVS * STEPS, evaluation_envs=2)
+    rollout = replace(
+        corridor_config.rollout,
+        taught_steps=2 * ENVS * STEPS,
+        taught_share=0.0,
+        noise_probability=0.0,
+        evaluation_envs=2,
+    )
     return replace(corridor_config, taught_by=BY, rollout=rollout, total_steps=4 * ENVS * STEPS)
 
 
@@ -116,6 +122,39 @@ def test_a_taught_run_resumes_as_if_it_had_not_ended(tmp_path: Path, make_corrid
     assert_same_checkpoint(whole, parts)
     assert read_metrics(whole)["rewarded_fraction"][0] >= 0.4
     assert read_checkpoint(whole).state["converged_at"] is None
+
+
+def test_teacher_hands_episodes_over_until_the_run_has_converged(
+    make_corridor, taught, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rollout = replace(taught.rollout, taught_steps=ENVS * STEPS, taught_share=1.0)
+    env = make_corridor(ENVS)
+    teacher = Scripted(env.layout)
+    runner = Runner(replace(taught, rollout=rollout), env, teacher)
+    iterations = kept(runner, monkeypatch)
+    for _ in range(4):
+        runner.iterate()
+    assert runner.needs_teacher
+    until = []
+    for one in iterations[1:]:
+        for k in range(ENVS):
+            theirs = np.abs(one.actions[k] - teacher.act(one.observations[k, :-1])).max(1) < 1e-6
+            end = STEPS if theirs.all() else int(np.argmin(theirs))
+            assert not theirs[end:].any(), "what was handed over stays so"
+            assert k >= 2 or end == 0, "evaluated episodes are the learner's own"
+            until += [end] if k >= 2 else []
+    assert len(set(until)) >= 4
+    assert min(until) < STEPS / 2 < max(until)
+    runner.convergence.at = runner.episodes
+    assert not runner.needs_teacher
+    begun = teacher.begun
+    runner.iterate()
+    assert teacher.begun == begun
+
+
+def test_a_teacher_needs_episodes_that_are_evaluated(taught) -> None:
+    with pytest.raises(ConfigurationError, match=r"rollout\.evaluation-envs 1"):
+        replace(taught, rollout=replace(taught.rollout, evaluation_envs=0))
 
 
 def test_random_beginning_is_uniform(
