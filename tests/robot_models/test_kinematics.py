@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
+from costs import cost_ratio
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -228,19 +227,17 @@ def test_the_tasks_hold_the_hand_straight_down():
     np.testing.assert_allclose(frames.base_to_world(frames.world_to_base((1, 2, 3))), (1, 2, 3))
 
 
-def test_a_warm_start_is_fast_enough_to_run_at_every_step():
+def test_a_warm_start_is_cheap_enough_to_run_at_every_step():
+    """Some twelve forward kinematics of the same arms; 0.5 ms of a quick computer."""
     arm = ArmKinematics("right")
     q = np.tile(yumi.TABLE_CONFIGURATION, (25, 1))
     position, rotation = arm.forward(q)
-    arm.inverse(position + 0.01, rotation, q, posture=q)
-    spent = []
-    for _ in range(20):
-        begin = time.perf_counter()
-        result = arm.inverse(position + 0.01, rotation, q, posture=q, max_iterations=4)
-        spent.append(time.perf_counter() - begin)
-    assert result.position_error.max() < 1e-6
-    # About 0.5 ms on an idle core; the bound leaves room for a busy machine.
-    assert min(spent) < 5e-3
+
+    def inverse():
+        return arm.inverse(position + 0.01, rotation, q, posture=q, max_iterations=4)
+
+    assert inverse().position_error.max() < 1e-6
+    assert cost_ratio(inverse, lambda: arm.forward(q), 60) < 40.0
 
 
 def test_unchecked_iterations_are_the_same_iterations() -> None:
