@@ -33,7 +33,7 @@ def output_of(peer: subprocess.Popen[str]) -> str:
     return out.strip()
 
 
-def eventually(condition, timeout_s: float = 5.0):
+def eventually(condition, timeout_s: float = 30.0):
     """First true value of `condition()`."""
     deadline = time.monotonic() + timeout_s
     while not (value := condition()):
