@@ -149,7 +149,7 @@ def test_tokens_of_a_closed_link_disappear_at_once(locator):
             publisher = client.publisher(YUMI_TRAJECTORY)
             session = client.session_id
             assert eventually(lambda: server.graph.session_of(publisher.gid)) == session
-        eventually(lambda: server.graph.session_of(publisher.gid) is None, 2.0)
+        eventually(lambda: server.graph.session_of(publisher.gid) is None)
         assert not [token for token in server.graph.tokens() if session in token]
 
 
