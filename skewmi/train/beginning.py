@@ -77,8 +77,7 @@ class TaughtBeginning:
         self._teacher.reset()
         self._noise = ExplorationNoise(
             shape,
-            probability=self._probability,
-            correlation=self._correlation,
+            *(self._probability, self._correlation),
             spared=evaluation,
             generator=generator,
         )

@@ -25,9 +25,9 @@ class ExplorationNoise:
     def __init__(
         self,
         shape: tuple[int, int, int],
-        *,
         probability: float,
         correlation: float,
+        *,
         spared: int,
         generator: np.random.Generator,
     ) -> None:

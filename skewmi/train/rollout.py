@@ -9,6 +9,7 @@ import numpy as np
 from skewmi.batch_env import BatchEnv
 from skewmi.policy_io import Array
 from skewmi.train.beginning import Beginning
+from skewmi.train.config import RolloutConfig
 from skewmi.train.exploration.protocol import Exploration
 from skewmi.train.learner import Hidden, Learner, Rollout
 from skewmi.train.noise import ExplorationNoise
@@ -21,9 +22,8 @@ def collect(
     exploration: Exploration,
     generator: np.random.Generator,
     *,
+    config: RolloutConfig,
     evaluation: int,
-    noise_probability: float,
-    noise_correlation: float,
     beginning: Beginning | None = None,
     rewarded: bool = True,
 ) -> Rollout:
@@ -37,21 +37,15 @@ def collect(
         learner: Gives the actions.
         exploration: Gives the goals.
         generator: Of everything random but the policy's own noise.
+        config: Says how noisy episodes are.
         evaluation: The first so many episodes are deterministic, see `Exploration.begin`.
-        noise_probability, noise_correlation: See `ExplorationNoise`.
         beginning: Gives actions instead of the learner, all or some.
         rewarded: Whether the task's reward is paid.
     """
     n, layout = env.num_envs, env.layout
     steps, dim = layout.episode_steps, layout.action_dim
     exploration.begin(n, evaluation, generator)
-    noise = ExplorationNoise(
-        (n, steps, dim),
-        probability=noise_probability,
-        correlation=noise_correlation,
-        spared=evaluation,
-        generator=generator,
-    )
+    noise = _noise(config, (n, steps, dim), evaluation, generator)
     observations = np.empty((n, steps + 1, layout.observation_dim))
     goals = np.empty((n, steps, exploration.goal_dim))
     actions, rewards = np.empty((n, steps, dim)), np.empty((n, steps))
@@ -62,16 +56,16 @@ def collect(
     notes: list[Mapping[str, Array]] = []
     for t in range(steps):
         goals[:, t] = exploration.goals(t, observations[:, t])
-        given = beginning.act(t, observations[:, t]) if beginning is not None else None
-        if given is not None and given[1].all():
-            action = given[0]
-        else:
+        given, chosen = np.zeros((n, dim)), np.zeros(n, np.bool_)
+        if beginning is not None:
+            given, chosen = beginning.act(t, observations[:, t])
+        action = given
+        if not chosen.all():
             decision = learner.act(observations[:, t], goals[:, t], hidden, evaluation)
             hidden = decision.hidden
             notes.append(decision.notes)
-            action = noise.apply(t, decision.action, exploration.wandering())
-            if given is not None:
-                action = np.where(given[1][:, None], given[0], action)
+            own = noise.apply(t, decision.action, exploration.wandering())
+            action = np.where(chosen[:, None], given, own)
         result = env.step(action)
         actions[:, t], rewards[:, t] = action, result.reward if rewarded else 0.0
         observations[:, t + 1] = result.observation
@@ -81,3 +75,13 @@ def collect(
         evaluation=evaluation,
         notes={name: np.stack([note[name] for note in notes], axis=1) for name in names},
     )
+
+
+def _noise(
+    config: RolloutConfig,
+    shape: tuple[int, int, int],
+    spared: int,
+    generator: np.random.Generator,
+) -> ExplorationNoise:
+    numbers = (config.noise_probability, config.noise_correlation)
+    return ExplorationNoise(shape, *numbers, spared=spared, generator=generator)

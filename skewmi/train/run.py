@@ -240,7 +240,7 @@ def _require_teacher(runner: Runner, run_dir: Path) -> None:
     """A run that is still being taught needs its teacher."""
     taught_by = runner.config.taught_by
     require(
-        runner.teacher is not None or not runner.needs_teacher,
+        runner.beginnings.teacher is not None or not runner.needs_teacher,
         f"the run in {run_dir} is taught by {taught_by} and has not converged at step "
         f"{runner.steps}: give the same --teacher again",
     )

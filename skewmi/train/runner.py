@@ -12,11 +12,12 @@ import numpy as np
 from skewmi.batch_env import BatchEnv
 from skewmi.errors import CheckpointError
 from skewmi.policy_io import Array, Policy
-from skewmi.train.beginning import Beginning, HandOver, RandomBeginning, TaughtBeginning
+from skewmi.train.beginning import TaughtBeginning
+from skewmi.train.beginnings import Beginnings
 from skewmi.train.blocks import read_blocks
 from skewmi.train.checkpoint import Checkpoint
 from skewmi.train.checks import require
-from skewmi.train.config import TrainConfig
+from skewmi.train.config import MetricsConfig, TrainConfig
 from skewmi.train.convergence import Convergence
 from skewmi.train.learner import Rollout
 from skewmi.train.metrics import CoverageMetrics
@@ -41,7 +42,8 @@ class Runner:
 
     def __init__(self, config: TrainConfig, env: BatchEnv, teacher: Policy | None = None) -> None:
         layout = env.layout
-        self.config, self.env, self.layout, self.teacher = config, env, layout, teacher
+        self.config, self.env, self.layout = config, env, layout
+        self.beginnings = Beginnings(config.rollout, teacher, taught=bool(config.taught_by))
         self.generator = np.random.default_rng([config.seed, 1])
         self.exploration = make_exploration(config.exploration, layout, self.generator)
         goal_dim = self.exploration.goal_dim
@@ -56,53 +58,16 @@ class Runner:
         self.history = Replay(layout, config.rollout.history_steps, goal_dim)
         self.coverage = CoverageMetrics(layout, config.task_metrics, config.metrics)
         self.discoveries = Discoveries(layout, config.task_metrics.events)
-        self.convergence = self._new_convergence()
+        self.convergence = _new_convergence(self.config.metrics)
         self.steps = self.iteration = self.rewarded_episodes = self.next_measurement = 0
         self.best_score: tuple[float, float] = (0.0, 0.0)
         first = env.reset(seed=config.seed)
         self.coverage.set_reachable(env, first[0, : layout.state_dim])
 
-    def _new_convergence(self) -> Convergence:
-        m = self.config.metrics
-        return Convergence(
-            m.convergence_fraction, m.convergence_tolerance, m.convergence_trajectories
-        )
-
-    def _evaluation_envs(self) -> int:
-        """How many of the next episodes run the deterministic action."""
-        c = self.config
-        done = self.convergence.latest >= c.metrics.convergence_fraction
-        return c.rollout.most_evaluation_envs if done else c.rollout.evaluation_envs
-
-    @property
-    def begins_for(self) -> int:
-        """Environment steps before the learner acts and learns."""
-        rollout = self.config.rollout
-        return rollout.taught_steps if self.config.taught_by else rollout.random_steps
-
-    def _beginning(self) -> Beginning | None:
-        """What acts instead of the learner in the next episodes."""
-        rollout, at_first = self.config.rollout, self.steps < self.begins_for
-        if not self.config.taught_by:
-            return RandomBeginning() if at_first else None
-        if not self.needs_teacher:
-            return None
-        assert self.teacher is not None  # `run_train` sees to it
-        if not at_first:
-            return HandOver(self.teacher, rollout.taught_share)
-        return TaughtBeginning(
-            self.teacher,
-            noise_probability=rollout.taught_noise_probability,
-            noise_correlation=rollout.noise_correlation,
-        )
-
     @property
     def needs_teacher(self) -> bool:
         """Whether a teacher acts in the next episodes."""
-        if not self.config.taught_by:
-            return False
-        later = self.convergence.at is None and self.config.rollout.taught_share > 0.0
-        return later or self.steps < self.begins_for
+        return self.beginnings.need_teacher(self.steps, self.convergence.at is not None)
 
     @property
     def episodes(self) -> int:
@@ -117,15 +82,14 @@ class Runner:
         """
         c = self.config
         started = time.perf_counter()
-        beginning = self._beginning()
+        beginning = self.beginnings.next(self.steps, self.convergence.at is not None)
         rollout = collect(
             self.env,
             self.learner,
             self.exploration,
             self.generator,
-            evaluation=self._evaluation_envs(),
-            noise_probability=c.rollout.noise_probability,
-            noise_correlation=c.rollout.noise_correlation,
+            config=c.rollout,
+            evaluation=_evaluation_envs(c, self.convergence.latest),
             beginning=beginning,
             rewarded=c.rewarded,
         )
@@ -135,9 +99,7 @@ class Runner:
         metrics = self.exploration.refresh(self.history, self.steps, self.generator)
         metrics |= self._measure(rollout, refreshed=self.exploration.refreshes > refreshes)
         refreshed = time.perf_counter()
-        # Nothing is learned before the beginning is over.
-        over = self.begins_for if c.taught_by else min(self.begins_for, c.total_steps)
-        if self.steps >= over:
+        if self.beginnings.over(self.steps, c.total_steps):
             metrics |= self._learn(rollout, term)
         self.iteration += 1
         metrics |= {
@@ -234,7 +196,7 @@ class Runner:
         """
         self.load(checkpoint, environment=False)
         self.best_score = (0.0, 0.0)
-        self.convergence = self._new_convergence()
+        self.convergence = _new_convergence(self.config.metrics)
 
     def load(self, checkpoint: Checkpoint, *, environment: bool = True) -> None:
         """Continue exactly where `checkpoint` was written.
@@ -263,6 +225,16 @@ class Runner:
             read_blocks(self.history, checkpoint.path / "replay", s["episodes"])
         except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
             raise CheckpointError(f"checkpoint {checkpoint.path} is damaged: {error}") from error
+
+
+def _new_convergence(m: MetricsConfig) -> Convergence:
+    return Convergence(m.convergence_fraction, m.convergence_tolerance, m.convergence_trajectories)
+
+
+def _evaluation_envs(config: TrainConfig, latest: float) -> int:
+    """How many of the next episodes run the deterministic action, after such a share of success."""
+    done = latest >= config.metrics.convergence_fraction
+    return config.rollout.most_evaluation_envs if done else config.rollout.evaluation_envs
 
 
 def _counted(rollout: Rollout) -> slice:

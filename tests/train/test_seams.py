@@ -17,7 +17,7 @@ from skewmi.deploy.policy import OnnxPolicy
 from skewmi.errors import ConfigurationError, NotFoundError
 from skewmi.export.onnx_export import TOLERANCE, export_policy
 from skewmi.train.checkpoint import read_checkpoint, read_run_header
-from skewmi.train.config import TrainConfig
+from skewmi.train.config import RolloutConfig, TrainConfig
 from skewmi.train.log import read_metrics
 from skewmi.train.policy import load_policy
 from skewmi.train.registry import EXPLORATIONS, LEARNERS, Entry, default_config
@@ -86,10 +86,8 @@ def test_hidden_state_is_each_episodes_own(make_corridor, on_policy) -> None:
             learner,
             runner.exploration,
             runner.generator,
+            config=RolloutConfig(noise_probability=0.0, noise_correlation=0.0),
             evaluation=1,
-            noise_probability=0.0,
-            noise_correlation=0.0,
-            random_actions=False,
         )
         h, c = rollout.notes["h"], rollout.notes["c"]
         assert h.shape == c.shape == (5, 40, 8)

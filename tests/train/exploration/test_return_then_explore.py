@@ -10,6 +10,7 @@ from train_runs import resumes_alike
 
 from skewmi.errors import ConfigurationError
 from skewmi.policy_io import Array
+from skewmi.train.config import RolloutConfig
 from skewmi.train.exploration.return_then_explore import (
     Excursions,
     ReturnThenExplore,
@@ -124,10 +125,8 @@ def test_who_explores_acts_at_random_and_nobody_else(make_corridor, corridor_con
         Still(),  # type: ignore[arg-type]
         made,
         runner.generator,
+        config=RolloutConfig(noise_probability=0.0, noise_correlation=0.8),
         evaluation=1,
-        noise_probability=0.0,
-        noise_correlation=0.8,
-        random_actions=False,
     ).episodes
     who = np.stack(told, axis=1)
     np.testing.assert_array_equal((episodes.actions != 0.0).any(-1), who)

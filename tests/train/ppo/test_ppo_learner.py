@@ -51,10 +51,8 @@ def rolled_out(runner: Runner) -> Rollout:
         runner.learner,
         runner.exploration,
         runner.generator,
+        config=RolloutConfig(noise_probability=0.0, noise_correlation=0.0),
         evaluation=1,
-        noise_probability=0.0,
-        noise_correlation=0.0,
-        random_actions=False,
     )
 
 
