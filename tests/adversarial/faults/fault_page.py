@@ -21,10 +21,10 @@ it and writes this page only if every cell came out as shown; `tests/adversarial
 product to it.
 
 Phases: **start motion** (the way to the start of an episode), **running** (the policy moves the
-hand), **stopping** (somebody pressed Ctrl-C and the arm brakes). The column **running, EGM bridge
-+ emulator** is the same fault while the policy runs, with `skewmi robot --backend egm` for the
-server and an emulated controller ([egm.md](egm.md)) for the arm, always in real time; "as running"
-means that the same must come of it.
+hand), **stopping** (somebody pressed Ctrl-C and the arm brakes). The column
+**running, EGM bridge + emulator** is the same fault while the policy runs, with `skewmi robot
+--backend egm` for the server and an emulated controller ([egm.md](egm.md)) for the arm, always in
+real time; "as running" means that the same must come of it.
 
 In every cell, besides what it shows:
 
