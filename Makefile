@@ -7,7 +7,7 @@ TORCH ?= torch==2.13.0
 BIN := $(VENV)/bin
 JOBS ?= 2
 
-.PHONY: demo test test-slow fuzz mutation check format bench structure policy clean help
+.PHONY: demo test test-slow fuzz mutation check format bench structure policy docs constraints clean help
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
@@ -62,6 +62,14 @@ policy: $(VENV)/installed  ## train the bundled policy again (some 30 minutes) i
 	$(BIN)/skewmi train --task open_press_close --run-dir runs/seed-0 --stop-on-convergence --resume
 	$(BIN)/skewmi train --start-from runs/seed-0 --run-dir runs/robust --variation randomised --steps 660000
 	$(BIN)/skewmi export-onnx runs/robust --out runs/open_press_close.onnx
+
+docs: $(VENV)/installed  ## the pages as a static site in build/site; a broken link fails
+	@$(BIN)/python -c 'import mkdocstrings_handlers, material' 2>/dev/null || \
+		$(BIN)/python -m pip install -q -e '.[docs]'
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+
+constraints: $(VENV)/installed  ## exact versions of the deployment side into constraints/deploy.txt
+	$(BIN)/python constraints/lock.py
 
 clean:
 	rm -rf build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache
