@@ -84,9 +84,9 @@ def test_another_learner_trains_on_a_task(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_policy_of_ones_own_is_exported_and_deployed(tmp_path: Path) -> None:
-    printed = run(EXAMPLES / "own_policy.py", "own.onnx", cwd=tmp_path)
+    printed = run(EXAMPLES / "own_policy.py", cwd=tmp_path)
     assert "of 3 succeeded; stops: []" in printed
-    assert OnnxPolicy.load(tmp_path / "own.onnx").metadata["method"] == "imitation"
+    assert OnnxPolicy.load(tmp_path / "own.onnx").metadata["method"] == "mine"
 
 
 @pytest.mark.slow
