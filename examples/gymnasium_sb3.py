@@ -25,7 +25,8 @@ class NearGoals(gymnasium.Wrapper):
 
 steps = int(sys.argv[1]) if len(sys.argv) > 1 else 10_000
 env = Monitor(NearGoals(gymnasium.make("skewmi.sim.gym_envs:skewmi/PointMaze-v0")))
-model = SAC("MultiInputPolicy", env, replay_buffer_class=HerReplayBuffer, seed=0, verbose=1)
+her = {"replay_buffer_class": HerReplayBuffer, "learning_starts": 1_000}
+model = SAC("MultiInputPolicy", env, **her, seed=0, verbose=1)
 model.learn(steps)
 
 reached = 0

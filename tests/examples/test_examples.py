@@ -78,7 +78,7 @@ def test_the_notebooks_cells_run_in_order(tmp_path: Path) -> None:
 def test_another_learner_trains_on_a_task(tmp_path: Path) -> None:
     pytest.importorskip("stable_baselines3", reason="it is in the dev extra")
     # Too short to learn anything: an episode's goals, hindsight, updates and evaluation are passed.
-    printed = run(EXAMPLES / "gymnasium_sb3.py", 300, cwd=tmp_path, OMP_NUM_THREADS="1")
+    printed = run(EXAMPLES / "gymnasium_sb3.py", 1_050, cwd=tmp_path, OMP_NUM_THREADS="1")
     assert "goals reached: " in printed
 
 
