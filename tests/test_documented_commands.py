@@ -15,14 +15,22 @@ import skewmi
 from skewmi.cli.main import COMMANDS, main
 
 ROOT = Path(skewmi.__file__).parents[1]
-PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+PAGES = (
+    ROOT / "README.md",
+    *sorted((ROOT / "docs").glob("*.md")),
+    *sorted((ROOT / "examples").rglob("*.py")),
+)
 ENDS = re.compile(r"\s(?:#|&&|\||>|;)(?:\s|$)|;")
 
 
 def commands_of(page: Path) -> list[str]:
-    """The lines of its code blocks that run `skewmi`, without comments; continued lines joined."""
+    """The lines of its code blocks that run `skewmi`, without comments; continued lines joined.
+
+    Of an example, the lines of its docstring.
+    """
     found = []
-    for block in re.findall(r"```[a-z]*\n(.*?)```", page.read_text(), flags=re.DOTALL):
+    blocks = r'"""(.*?)"""' if page.suffix == ".py" else r"```[a-z]*\n(.*?)```"
+    for block in re.findall(blocks, page.read_text(), flags=re.DOTALL):
         for line in re.sub(r"\\\n\s*", " ", block).splitlines():
             text = line.strip().removeprefix("$ ").removeprefix(".venv/bin/")
             # The task of examples/press_button_task has to be installed first.
