@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from skewmi.deploy.policy import OnnxPolicy
+from skewmi.sweep.sweep_file import parse_sweep
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 MOST_LINES = 40
@@ -107,7 +108,20 @@ def test_a_recording_becomes_data_frames(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_sweep_runs_on_two_nodes(tmp_path: Path) -> None:
     pytest.importorskip("ray", reason="it is in the cluster extra")
-    run(EXAMPLES / "sweep_on_ray.py", "ray", cwd=tmp_path)
     pandas = pytest.importorskip("pandas", reason="it is in the dev extra")
+    try:
+        run(EXAMPLES / "sweep_on_ray.py", "ray", cwd=tmp_path)
+    except AssertionError as error:
+        if "timed out during startup" in str(error):
+            pytest.skip("a node of Ray's was not up within Ray's own 30 s: the computer is busy")
+        raise
     results = pandas.read_csv(tmp_path / "ray" / "sweep" / "results.csv")
-    assert len(results) == 2
+    assert sorted(results["seed"]) == [0, 1]
+    assert set(results["state"]) == {"done"}
+
+
+def test_the_sweep_is_one_that_is_taken() -> None:
+    """The file that the example writes, where there is no Ray."""
+    text = (EXAMPLES / "sweep_on_ray.py").read_text(encoding="utf-8")
+    (group,) = parse_sweep(text.split('"""')[3], "maze.yaml").groups
+    assert (group.tasks, group.seeds) == (("point_maze",), (0, 1))
