@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import imageio.v3 as imageio
 import mujoco
 import numpy as np
+from PIL import Image
 
 from skewmi.robot_models import mjcf, yumi
 
@@ -69,7 +69,7 @@ def main() -> None:
         "yumi-press-start.png": [(start, 150.0, -16.0), (start, 90.0, -8.0)],
     }
     for name, views in pictures.items():
-        imageio.imwrite(folder / name, picture(model, views), optimize=True)
+        Image.fromarray(picture(model, views)).save(folder / name, optimize=True)
 
 
 if __name__ == "__main__":

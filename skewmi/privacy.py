@@ -15,8 +15,6 @@ SWITCHES = {
     "ORT_DISABLE_TELEMETRY": "1",
     # Ray reports the size of a cluster and the libraries used on it.
     "RAY_USAGE_STATS_ENABLED": "0",
-    # imageio fetches plugins that are missing.
-    "IMAGEIO_NO_INTERNET": "1",
 }
 """Environment variable -> the value that keeps a dependency quiet."""
 

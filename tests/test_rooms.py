@@ -11,7 +11,7 @@ import pytest
 import skewmi
 
 PACKAGE = Path(skewmi.__file__).parent
-EVERYBODY = {"errors", "trajectory"}
+EVERYBODY = {"errors", "extras", "trajectory"}
 """What all may import."""
 
 ROOMS: dict[str, set[str]] = {
@@ -135,6 +135,7 @@ def test_every_folder_of_deploy_is_in_the_table() -> None:
 
 def test_the_vocabulary_imports_the_errors_alone() -> None:
     assert imports()["errors"] == set()
+    assert imports()["extras"] == {"errors"}
     assert imports()["trajectory"] == {"errors"}
 
 

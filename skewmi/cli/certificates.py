@@ -13,8 +13,8 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
+from skewmi import extras
 from skewmi.deploy.wire.domain import ros_domain
-from skewmi.errors import NotFoundError
 
 
 @dataclass(frozen=True)
@@ -45,10 +45,7 @@ def run_certificates(options: CertificatesCommand) -> int:
     try:
         from skewmi.deploy.wire.certificates import CertificatePlan, write_certificates
     except ModuleNotFoundError as error:
-        raise NotFoundError(
-            f"`skewmi certificates` needs the package {error.name!r}: "
-            "pip install 'skewmi[security]'"
-        ) from error
+        raise extras.missing("`skewmi certificates`", error) from error
     plan = CertificatePlan(
         options.host, options.port, options.listen, options.days, ros_domain(options.domain)
     )

@@ -34,6 +34,7 @@ from skewmi.deploy.replay.live_options import LiveOptions
 from skewmi.deploy.report import DeployReport
 from skewmi.deploy.run_watch import RunWatch
 from skewmi.deploy.wire.domain import ros_domain
+from skewmi.extras import require
 from skewmi.outputs import check_output
 from skewmi.progress import LiveLine
 from skewmi.smoothness import LIMITS
@@ -142,6 +143,8 @@ def deploy_policy(options: DeployCommand) -> DeployReport:
 def _live_options(options: DeployCommand, tell: Callable[[str], None]) -> LiveOptions:
     """Where to show the run: in the browser, if there is no screen for a viewer."""
     live = LiveOptions(options.live, options.live_connect, options.live_out)
+    if live != LiveOptions():
+        require("a live view", "rerun")
     if not options.live or viewer.has_screen() or viewer.is_there():
         return live
     # Rerun takes a while to import; its process does so anyway.

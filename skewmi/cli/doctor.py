@@ -24,6 +24,7 @@ import numpy as np
 
 from skewmi.child import child_command
 from skewmi.cli import doctor_probes, numbers
+from skewmi.extras import install_line
 from skewmi.trajectory import GRID_S
 
 DEFAULT_PORT = 7447
@@ -100,7 +101,7 @@ def all_checks(port: int, *, quick: bool) -> Iterator[Check]:
     yield _rendering()
     yield from _simulations()
     yield _probe(
-        "torch", doctor_probes.TORCH, advice="to train and export: pip install 'skewmi[train]'"
+        "torch", doctor_probes.TORCH, advice=f"to train and export: {install_line('train')}"
     )
 
 
@@ -116,10 +117,10 @@ def _packages() -> Iterator[Check]:
     for line in importlib.metadata.requires("skewmi") or []:
         requirement = Requirement(line)
         extra = re.search(r"extra == ['\"](\w+)['\"]", line)
-        if extra and extra[1] != "train":
+        if (extra and extra[1] not in ("view", "train")) or requirement.name == "skewmi":
             continue
         bad: Literal["warning", "error"] = "warning" if extra else "error"
-        install = "pip install 'skewmi[train]'" if extra else f"pip install '{line.split(';')[0]}'"
+        install = install_line(extra[1]) if extra else f"pip install '{line.split(';')[0].strip()}'"
         try:
             version = importlib.metadata.version(requirement.name)
         except importlib.metadata.PackageNotFoundError:
@@ -191,7 +192,7 @@ def _port(port: int) -> Check:
 
 def _imports() -> Iterator[Check]:
     """Compiled packages may be installed and still not load, for want of a system library."""
-    for module in ("mujoco", "pinocchio", "mink", "ruckig", "onnxruntime", "zenoh", "rerun"):
+    for module in ("mujoco", "pinocchio", "mink", "ruckig", "onnxruntime", "zenoh"):
         yield _probe(
             f"import {module}",
             doctor_probes.IMPORT,
@@ -199,6 +200,8 @@ def _imports() -> Iterator[Check]:
             bad="error",
             advice=f"reinstall {module}",
         )
+    advice = f"to show runs: {install_line('view')}"
+    yield _probe("import rerun", doctor_probes.IMPORT, "rerun", advice=advice)
 
 
 def _rendering() -> Check:

@@ -18,9 +18,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import tyro
 
+from skewmi import extras
 from skewmi.batch_env import BatchEnv
 from skewmi.cli.policies import Which, load_run, make_env, task_options
-from skewmi.errors import CheckpointError, NotFoundError, VerificationError
+from skewmi.errors import CheckpointError, VerificationError
 from skewmi.evaluation.rollout import run_episodes, summarise
 from skewmi.outputs import check_output
 from skewmi.progress import progress
@@ -64,7 +65,7 @@ def run_export_onnx(options: ExportOnnxCommand) -> int:
     try:
         from skewmi.export.onnx_export import export_policy
     except ModuleNotFoundError as error:
-        raise NotFoundError(f"exporting needs {error.name}: pip install 'skewmi[train]'") from error
+        raise extras.missing("exporting", error) from error
     from skewmi.deploy.policy import OnnxPolicy
 
     layout = policy.layout

@@ -18,7 +18,8 @@ import numpy as np
 from skewmi.cli.way_flags import RobotServerFlags, lead
 from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.safety.flange_space import CALIBRATION, TASK
-from skewmi.deploy.session.preflight import draw_start, require_workspace
+from skewmi.deploy.session.deployable import require_workspace
+from skewmi.deploy.session.preflight import draw_start
 from skewmi.deploy.session.way_plan import Leg, WayPlanner
 from skewmi.policy_io import Array
 from skewmi.robot_models import yumi

@@ -15,7 +15,7 @@ import tyro
 from rich.console import Console
 from rich.markup import escape
 
-from skewmi import policies
+from skewmi import extras, policies
 from skewmi.errors import ConfigurationError, NotFoundError, did_you_mean
 
 _MCAP = b"\x89MCAP0\r\n"
@@ -136,9 +136,7 @@ def _run(path: Path) -> dict[str, Any]:
     try:
         from skewmi.train.checkpoint import read_run_header
     except ModuleNotFoundError as error:
-        raise NotFoundError(
-            f"reading a run directory needs {error.name}: pip install 'skewmi[train]'"
-        ) from error
+        raise extras.missing("reading a run directory", error) from error
     config, layout = read_run_header(path)
     checkpoints = sorted(p.name for p in (path / "checkpoints").glob("*") if p.is_dir())
     return {

@@ -17,6 +17,7 @@ from rich.padding import Padding
 from skewmi import policies
 from skewmi.deploy.robot.backends import BACKENDS
 from skewmi.deploy.robot.process import EMULATOR
+from skewmi.extras import install_line
 from skewmi.sim import tasks
 
 ROBOTS = {
@@ -84,7 +85,7 @@ def _print(document: dict[str, Any], console: Console) -> None:
     for name, told in document["tasks"].items():
         presets = told["presets"]
         tell(name, "" if told["robot"] else "(no robot in it: it is not deployed)")
-        tell("presets", "not installed: skewmi[train]" if presets is None else _words(presets), 6)
+        tell("presets", f"not installed: {install_line('train')}" if presets is None else _words(presets), 6)
         for kind in ("variations", "targets"):
             if told[kind]:
                 tell(kind, _words(told[kind]), 6)

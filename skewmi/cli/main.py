@@ -10,13 +10,14 @@ import importlib
 import os
 import sys
 import textwrap
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from types import ModuleType
 from typing import Any
 
 import tyro
 
-from skewmi import __version__
+from skewmi import __version__, extras
 from skewmi.errors import NotFoundError, SkewmiError, did_you_mean
 
 COMMANDS: dict[str, str] = {
@@ -44,6 +45,12 @@ COMMANDS: dict[str, str] = {
 }
 """Command -> one line of help. `a-b` lives in module `a_b` as `ABCommand` and `run_a_b`."""
 
+
+DRAWS_NOTHING = frozenset({"deploy", "home", "jog", "robot", "stop"})
+"""Commands that need no OpenGL."""
+
+_NO_OPENGL = "disabled"
+"""A value of MUJOCO_GL."""
 
 FORMER_FLAGS = {"--twin": "--variation"}
 """Flags of former versions, which still work but are no longer told, and what they are now."""
@@ -75,16 +82,20 @@ def run_command(name: str, arguments: list[str]) -> int:
             f"unknown command {name!r}; commands are {', '.join(COMMANDS)}"
             f"{did_you_mean(name, COMMANDS)}"
         )
-    _load_mujoco_safely()
-    module_name = name.replace("-", "_")
     try:
-        module = importlib.import_module(f"skewmi.cli.{module_name}")
+        with _without_opengl() if name in DRAWS_NOTHING else nullcontext():
+            _load_mujoco_safely()
+            return _run(name, arguments)
     except ModuleNotFoundError as error:
-        if error.name is not None and error.name.split(".")[0] == "skewmi":
+        if (error.name or "").partition(".")[0] in ("", "skewmi"):
             raise
-        raise NotFoundError(
-            f"`skewmi {name}` needs the package {error.name!r}: pip install 'skewmi[train]'"
-        ) from error
+        # Whatever a command needs beyond what every installation has, it imports when it needs it.
+        raise extras.missing(f"`skewmi {name}`", error) from error
+
+
+def _run(name: str, arguments: list[str]) -> int:
+    module_name = name.replace("-", "_")
+    module = importlib.import_module(f"skewmi.cli.{module_name}")
     options_type = options_of(name, module)
     run = getattr(module, f"run_{module_name}")
     arguments = [_present_name(argument) for argument in arguments]
@@ -145,6 +156,26 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
 
 
+@contextmanager
+def _without_opengl() -> Iterator[None]:
+    """While the block runs, MuJoCo loads no window system when it is imported.
+
+    To find one takes it a quarter of a second. Pictures that this process draws afterwards get
+    theirs all the same (`sim.offscreen`).
+    """
+    chosen = os.environ.get("MUJOCO_GL")
+    if sys.platform != "linux":
+        yield
+        return
+    os.environ["MUJOCO_GL"] = _NO_OPENGL
+    try:
+        yield
+    finally:
+        del os.environ["MUJOCO_GL"]
+        if chosen is not None:
+            os.environ["MUJOCO_GL"] = chosen
+
+
 def _load_mujoco_safely() -> None:
     """Import MuJoCo without MUJOCO_GL if that is set.
 
@@ -152,9 +183,9 @@ def _load_mujoco_safely() -> None:
     it; most commands draw nothing. Those that do look at the variable when they draw
     (`sim.offscreen`).
     """
-    chosen = os.environ.pop("MUJOCO_GL", None)
-    if chosen is None:
+    if os.environ.get("MUJOCO_GL", _NO_OPENGL) == _NO_OPENGL:
         return
+    chosen = os.environ.pop("MUJOCO_GL")
     try:
         with suppress(ImportError):
             importlib.import_module("mujoco")

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from skewmi import policies
+from skewmi import extras, policies
 from skewmi.batch_env import BatchEnv
 from skewmi.cli import numbers
 from skewmi.errors import ConfigurationError, NotFoundError, did_you_mean
@@ -33,9 +33,7 @@ def load_run(run_dir: Path, which: Which) -> TorchPolicy:
     try:
         from skewmi.train.policy import load_policy
     except ModuleNotFoundError as error:
-        raise NotFoundError(
-            f"reading a run directory needs {error.name}: pip install 'skewmi[train]'"
-        ) from error
+        raise extras.missing("reading a run directory", error) from error
     return load_policy(run_dir, which=which)
 
 

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import replace
+from importlib import import_module
 
 from skewmi.calibration.calibration_file import Calibration, read_calibration
 from skewmi.calibration.calibration_use import servo_constants
@@ -18,9 +19,7 @@ from skewmi.deploy.report import DeployReport
 from skewmi.deploy.robot.description import SCENE_REQUEST, RobotDescription, limit_values
 from skewmi.deploy.robot.process import spawn_robot
 from skewmi.deploy.run_watch import RunWatch
-from skewmi.deploy.session.connect import connect
-from skewmi.deploy.session.pace import planning_limits
-from skewmi.deploy.session.preflight import require_workspace
+from skewmi.deploy.session.deployable import require_workspace
 from skewmi.deploy.session.steadiness import TooBusyError
 from skewmi.deploy.session.trust import Trust
 from skewmi.deploy.wire import topics
@@ -108,6 +107,10 @@ def _run(
             lock_step=options.lock_step,
             zenoh_config=options.zenoh_config,
         )
+        # Late: what plans and judges takes a while to import, and a robot that is started needs the
+        # same while.
+        from skewmi.deploy.session.connect import connect
+
         with Link.open(config, NODE_NAME) as link:
             link.wait_for_robot(5.0)
             session = connect(policy, options, link, report, stop, tell, known)
@@ -134,7 +137,13 @@ def _robot_server(
         variation=options.variation,
         calibration=options.calibration if knows_servos else None,
         domain=options.domain,
+        meanwhile=_prepare,
     )
+
+
+def _prepare() -> None:
+    """Load what the session needs, while its robot starts."""
+    import_module("skewmi.deploy.session.connect")
 
 
 @contextmanager
@@ -167,6 +176,8 @@ def _metadata(
     options: DeployOptions, policy: Policy, link: Link, trust: Trust, known: Calibration | None
 ) -> dict[str, str]:
     """What the run is about."""
+    from skewmi.deploy.session.pace import planning_limits
+
     servos = None if known is None else servo_constants(known)
     limits = planning_limits(options.limits, options.speed, servos)
     reply = link.call(topics.YUMI_DESCRIBE, 5.0, SCENE_REQUEST, only=trust.server)

@@ -1,6 +1,7 @@
 """Pictures of any simulation state: frames, films and contact sheets.
 
-Needs OpenGL, but no display: see `offscreen`.
+Needs OpenGL, but no display: see `offscreen`. Pillow, which only files and labels need, is imported
+where it is used: a robot's computer is without it.
 """
 
 from __future__ import annotations
@@ -11,7 +12,6 @@ from types import TracebackType
 
 import mujoco
 import numpy as np
-from PIL import Image, ImageDraw, ImageFont
 
 from skewmi.errors import ConfigurationError, NotFoundError
 from skewmi.outputs import written_aside
@@ -78,6 +78,8 @@ class Renderer:
 
 def label(frame: Frame, text: str) -> Frame:
     """A copy of a frame with text in its upper left corner."""
+    from PIL import Image, ImageDraw, ImageFont
+
     image = Image.fromarray(frame)
     font = ImageFont.load_default(size=max(12, frame.shape[0] // 18))
     draw = ImageDraw.Draw(image)
@@ -100,6 +102,8 @@ def write_film(path: Path, frames: Iterable[Frame], *, frames_per_second: float)
         )
     if not frames_per_second > 0.0:
         raise ConfigurationError(f"frames_per_second is {frames_per_second}; must be positive")
+    from PIL import Image
+
     images = [Image.fromarray(frame) for frame in frames]
     if not images:
         raise ConfigurationError(f"film {path.name!r}: there is no frame to write")
@@ -142,6 +146,8 @@ def write_picture(path: Path, frame: Frame) -> None:
     Raises:
         ConfigurationError: Another suffix, or the file cannot be written.
     """
+    from PIL import Image
+
     try:
         with written_aside(path) as draft:
             Image.fromarray(frame).save(draft)

@@ -12,7 +12,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from skewmi.errors import ConfigurationError, NotFoundError
+from skewmi import extras
+from skewmi.errors import ConfigurationError
 from skewmi.sweep.engine import INVISIBLE, LOST, end_worker, start_worker, worker_environment
 from skewmi.sweep.places import RUN
 
@@ -99,8 +100,8 @@ def opened_ray(address: str | None, threads: int, processes: int | None) -> Iter
     """
     try:
         import ray
-    except ImportError as error:
-        raise NotFoundError("--engine ray needs Ray: pip install 'skewmi[cluster]'") from error
+    except ModuleNotFoundError as error:
+        raise extras.missing("--engine ray", error) from error
     _require_answer(address)
     try:
         ray.init(address=address, log_to_driver=False, logging_level="ERROR")

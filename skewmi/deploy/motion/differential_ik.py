@@ -31,13 +31,15 @@ from __future__ import annotations
 from functools import cache
 
 import daqp
-import mink
 import mujoco
 import numpy as np
 
 from skewmi.deploy.motion.brake import Array
+from skewmi.deploy.motion.mink_alone import import_mink
 from skewmi.robot_models import mjcf, yumi
 from skewmi.trajectory import GRID_S
+
+mink = import_mink()
 
 FEEDBACK_RATE = 5.0
 """Largest k, 1/s."""

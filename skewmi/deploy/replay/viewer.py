@@ -13,6 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryFile
 
 from skewmi.errors import ConfigurationError
+from skewmi.extras import install_line
 from skewmi.privacy import viewer_environment
 
 DEFAULT_URL = "rerun+http://127.0.0.1:9876/proxy"
@@ -139,5 +140,5 @@ def _executable() -> Path:
     name = "rerun.exe" if sys.platform == "win32" else "rerun"
     path = Path(os.environ.get("RERUN_CLI_PATH") or Path(*folders[:1], name))
     if not path.is_file():
-        raise ConfigurationError(f"there is no Rerun viewer at {path}; pip install rerun-sdk")
+        raise ConfigurationError(f"there is no Rerun viewer at {path}: {install_line('view')}")
     return path

@@ -6,7 +6,7 @@ import json
 import socket
 import subprocess
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -34,6 +34,7 @@ def spawn_robot(
     variation: str | None = None,
     calibration: Path | None = None,
     domain: int = 0,
+    meanwhile: Callable[[], object] = lambda: None,
 ) -> Iterator[str]:
     """Run `skewmi robot --backend NAME` on a free port until the block is left.
 
@@ -47,6 +48,7 @@ def spawn_robot(
         variation: How robot and scene differ from the nominal ones; None if they do not.
         calibration: File of what is known of its servos; None if nothing is.
         domain: ROS 2 domain that it is in.
+        meanwhile: Done here while it starts.
 
     Yields:
         The Zenoh locator that it listens on.
@@ -55,12 +57,27 @@ def spawn_robot(
         TransportError: It ended, or was not ready in time; with its own last words.
     """
     locator = f"tcp/127.0.0.1:{free_port()}"
+    if name not in (EMULATOR, "egm"):
+        run = {
+            "backend": name,
+            "task": task,
+            "limits": limits,
+            "listen": locator,
+            "domain": domain,
+            "lock_step": lock_step,
+            "variation": variation,
+            "calibration": None if calibration is None else str(calibration),
+        }
+        command = child_command("-m", "skewmi.deploy.robot.robot_process", json.dumps(run))
+        with _child(name, command, meanwhile):
+            yield locator
+        return
     server = ["--task", task, "--limits", limits, "--listen", locator, "--domain", str(domain)]
     server += ["--lock-step"] if lock_step else []
     server += [] if calibration is None else ["--calibration", str(calibration)]
     varied = [] if variation is None else ["--variation", variation]
     if name != EMULATOR:
-        with _child(name, [*server, *varied]):
+        with _child(name, _command(name, [*server, *varied]), meanwhile):
             yield locator
         return
     right, left = (f"127.0.0.1:{free_port(socket.SOCK_DGRAM)}" for _ in range(2))
@@ -68,16 +85,25 @@ def spawn_robot(
     controller += ["--connect", locator, "--domain", str(domain)]
     controller += ["--egm-comm-timeout-s", f"{EMULATED_COMM_TIMEOUT_S}"]
     bridge = [*server, "--egm-listen", right, "--egm-listen-left", left]
-    with _child("egm", bridge), _child(name, [*controller, *varied]):
+    with (
+        _child("egm", _command("egm", bridge), meanwhile),
+        _child(name, _command(name, [*controller, *varied])),
+    ):
         yield locator
 
 
-@contextmanager
-def _child(backend: str, options: list[str]) -> Iterator[None]:
+def _command(backend: str, options: list[str]) -> list[str]:
     command = child_command("-m", "skewmi.cli.main", "robot", "--backend", backend)
+    return [*command, *options, "--json", "--end-with-input"]
+
+
+@contextmanager
+def _child(
+    backend: str, command: list[str], meanwhile: Callable[[], object] = lambda: None
+) -> Iterator[None]:
     with TemporaryFile() as words:
         child = subprocess.Popen(
-            [*command, *options, "--json", "--end-with-input"],
+            command,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=words,
@@ -88,6 +114,7 @@ def _child(backend: str, options: list[str]) -> Iterator[None]:
         watchdog.daemon = True
         try:
             assert child.stdout is not None
+            meanwhile()
             watchdog.start()
             if not any(_is_ready(line, backend) for line in child.stdout):
                 child.wait(_END_TIMEOUT_S)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -166,6 +167,11 @@ class Guard:
         return value
 
 
+@cache
+def _urdf_text() -> str:
+    return urdf.build_urdf()
+
+
 def _build_arm(opening: float, payload: float) -> tuple[Any, Any, set[str]]:
     """The right arm of the URDF with the left one parked, and every shape on it.
 
@@ -176,7 +182,7 @@ def _build_arm(opening: float, payload: float) -> tuple[Any, Any, set[str]]:
     Returns:
         Model and shapes, and the names of the shapes that were fixed to the body from the first.
     """
-    text = urdf.build_urdf()
+    text = _urdf_text()
     full = pinocchio.buildModelFromXML(text)
     shapes = pinocchio.buildGeomFromUrdfString(full, text, pinocchio.GeometryType.COLLISION)
     fixed = pinocchio.neutral(full)

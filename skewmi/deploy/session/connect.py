@@ -17,13 +17,14 @@ from skewmi.deploy.session.agreement import check_agreement, check_pace
 from skewmi.deploy.session.approach import Approach
 from skewmi.deploy.session.arm_delay import ArmDelay
 from skewmi.deploy.session.control_loop import ControlLoop
+from skewmi.deploy.session.deployable import require_workspace
 from skewmi.deploy.session.episode import EpisodeRunner
 from skewmi.deploy.session.known_robot import agree_on_calibration
 from skewmi.deploy.session.observer import Observer
 from skewmi.deploy.session.pace import Pace, choose_pace, planning_limits
 from skewmi.deploy.session.policy_motion import PolicyMotion
 from skewmi.deploy.session.policy_topics import PolicyTopics
-from skewmi.deploy.session.preflight import Preflight, require_workspace
+from skewmi.deploy.session.preflight import Preflight
 from skewmi.deploy.session.robot_client import RobotClient
 from skewmi.deploy.session.session import Session
 from skewmi.deploy.session.states import SessionEvent

@@ -14,12 +14,12 @@ from skewmi.deploy.robot.states import ServerState
 from skewmi.deploy.safety.checks import ChunkChecks
 from skewmi.deploy.session.agreement import check_agreement
 from skewmi.deploy.session.arm_state import ArmState
+from skewmi.deploy.session.deployable import require_workspace
 from skewmi.deploy.session.interrupt import StopRequestedError, check_interrupt
 from skewmi.deploy.session.observer import Observer
 from skewmi.deploy.session.readiness import wait_until_ready
 from skewmi.deploy.session.robot_client import RobotClient
 from skewmi.deploy.session.status import SessionStatus
-from skewmi.errors import LayoutMismatchError
 from skewmi.policy_io import Array, PolicyLayout, Workspace
 from skewmi.robot_models.frames import rotation_from_quaternion
 from skewmi.robot_models.kinematics import ArmKinematics, require_converged
@@ -131,19 +131,6 @@ class Preflight:
             return description
         self._robot.arm()
         return self._robot.describe()
-
-
-def require_workspace(layout: PolicyLayout) -> Workspace:
-    """The workspace of a policy that commands a hand.
-
-    Raises:
-        LayoutMismatchError: Its task has none.
-    """
-    if layout.workspace is None:
-        raise LayoutMismatchError(
-            f"task {layout.task!r} has no workspace: there is no robot to deploy it on"
-        )
-    return layout.workspace
 
 
 def draw_start(workspace: Workspace, seed: int, spread: float, q_near: Array) -> Array:

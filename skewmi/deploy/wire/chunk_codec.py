@@ -59,6 +59,29 @@ def _record(joints: int) -> np.dtype[Any]:
 @lru_cache(maxsize=256)
 def _template(names: tuple[str, ...], count: int) -> tuple[bytearray, Any]:
     """A whole message with zeros in it, and the records inside it."""
+    record = _record(len(names))
+    if not (names and count):
+        buffer = bytearray(_reference(names, count))
+    else:
+        # What stands before the first record is the same for any number of them but the number.
+        one = _reference(names, 1)
+        parsed = parse_names(one)
+        assert parsed is not None
+        buffer = bytearray(one[: len(one) + 4 - record.itemsize])
+        _U32.pack_into(buffer, parsed[3] - 4, count)
+        records = np.zeros(count, dtype=record)
+        for name in ("v_count", "a_count", "q_count"):
+            records[name] = len(names)
+        buffer.extend(records.tobytes()[:-4])
+    # The last record's q_count lies beyond the message: four spare bytes, never sent.
+    start = len(buffer) + 4 - count * record.itemsize
+    buffer.extend(b"\x00" * 4)
+    return buffer, np.frombuffer(buffer, dtype=record, offset=start)
+
+
+@lru_cache(maxsize=16)
+def _reference(names: tuple[str, ...], count: int) -> bytes:
+    """What rosbags makes of a trajectory at zero."""
     make = ros2_types.message_class
     zeros = np.zeros(len(names))
     point = make("trajectory_msgs/msg/JointTrajectoryPoint")(
@@ -74,12 +97,7 @@ def _template(names: tuple[str, ...], count: int) -> tuple[bytearray, Any]:
         joint_names=list(names),
         points=[point] * count,
     )
-    buffer = bytearray(ros2_types.encode(message, JOINT_TRAJECTORY))
-    record = _record(len(names))
-    # The last record's q_count lies beyond the message: four spare bytes, never sent.
-    start = len(buffer) + 4 - count * record.itemsize
-    buffer.extend(b"\x00" * 4)
-    return buffer, np.frombuffer(buffer, dtype=record, offset=start)
+    return ros2_types.encode(message, JOINT_TRAJECTORY)
 
 
 def encode(chunk: TrajectoryChunk) -> bytes:

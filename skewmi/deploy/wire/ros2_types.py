@@ -1,7 +1,7 @@
-"""ROS 2 type definitions from rosbags: CDR, type hashes and schemas.
+"""ROS 2 types by rosbags: CDR, type hashes and schemas.
 
-rosbags ships the messages of ROS 2 but no services, and none of ros2_control; these are added
-here, so that their type hashes can be computed like the others.
+Messages are made of their definitions (`ros2_definitions`). rosbags knows no services; the one
+that is used is put together here, so that its type hash can be computed like the others.
 """
 
 from __future__ import annotations
@@ -12,31 +12,19 @@ from typing import Any
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from skewmi.deploy.wire.topics import CONTROLLER_STATE, TRIGGER
+from skewmi.deploy.wire.ros2_definitions import DEFINITIONS
+from skewmi.deploy.wire.topics import TRIGGER
 
 _TIME = (Nodetype.NAME, "builtin_interfaces/msg/Time")
 
-_CONTROLLER_STATE = """
-std_msgs/Header header
-string[] joint_names
-trajectory_msgs/JointTrajectoryPoint reference
-trajectory_msgs/JointTrajectoryPoint feedback
-trajectory_msgs/JointTrajectoryPoint error
-trajectory_msgs/JointTrajectoryPoint output
-string[] multi_dof_joint_names
-trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_reference
-trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_feedback
-trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_error
-trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_output
-float64 speed_scaling_factor
-"""
-"""Of control_msgs 5.3 and later: ROS 2 Jazzy since November 2024, Kilted, Rolling."""
-
-
 @cache
 def store() -> Any:
-    """The type store: ROS 2 Jazzy's definitions, the Trigger service and the controller state."""
-    types = get_typestore(Stores.ROS2_JAZZY)
+    """The type store: our messages and the Trigger service."""
+    types = get_typestore(Stores.EMPTY)
+    messages: dict[str, Any] = {}
+    for name, text in DEFINITIONS.items():
+        messages |= get_types_from_msg(text, name)
+    types.register(messages)
     request, response, event = f"{TRIGGER}_Request", f"{TRIGGER}_Response", f"{TRIGGER}_Event"
     info = "service_msgs/msg/ServiceEventInfo"
 
@@ -67,7 +55,7 @@ def store() -> Any:
         ),
         # ROS 2 hashes the gid's `char` as uint8; rosbags does not.
         info: (
-            types.fielddefs[info][0],
+            [],
             [
                 ("event_type", base("uint8")),
                 ("stamp", _TIME),
@@ -77,7 +65,6 @@ def store() -> Any:
         ),
     }
     types.fielddefs.update(definitions)
-    types.register(get_types_from_msg(_CONTROLLER_STATE, CONTROLLER_STATE))
     return types
 
 
