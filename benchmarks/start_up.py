@@ -1,4 +1,4 @@
-"""Processor and wall time from a command to what it is for: first motion, a ready robot, a help text.
+"""Processor and wall time from a command to first motion, a ready robot or a help text.
 
 Each figure is of a fresh process and all its children, in several rounds; the median counts. Rounds
 of all commands are taken in turn, so that a slow minute of the machine meets all of them.

@@ -85,7 +85,11 @@ def _print(document: dict[str, Any], console: Console) -> None:
     for name, told in document["tasks"].items():
         presets = told["presets"]
         tell(name, "" if told["robot"] else "(no robot in it: it is not deployed)")
-        tell("presets", f"not installed: {install_line('train')}" if presets is None else _words(presets), 6)
+        tell(
+            "presets",
+            f"not installed: {install_line('train')}" if presets is None else _words(presets),
+            6,
+        )
         for kind in ("variations", "targets"):
             if told[kind]:
                 tell(kind, _words(told[kind]), 6)

@@ -36,6 +36,7 @@ COMMANDS: dict[str, str] = {
     "replay": "turn a recording into a Rerun file, or show it live",
     "play": "show a policy in simulation: in Rerun or in the browser, no deployment",
     "film": "draw an episode of a recording: film and strip of frames",
+    "export-dataset": "recordings as a data set for imitation learners (LeRobot)",
     "list": "tasks, policies, robots, presets and variations by name",
     "info": "what a policy, recording, calibration or run is",
     "model": "the robot model as URDF or MJCF",

@@ -29,6 +29,7 @@ BEFORE: dict[str, list[str]] = {
     "play": ["open_press_close", "--out", "{t}/play.rrd"],
     "home": ["--connect", "tcp/127.0.0.1:1"],
     "jog": ["--connect", "tcp/127.0.0.1:1", "--z", "5"],
+    "export-dataset": ["{t}/absent.mcap", "--out", "{t}/dataset"],
     "list": [],
     "info": ["{t}/absent.mcap"],
     "model": [],

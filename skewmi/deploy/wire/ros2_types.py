@@ -17,6 +17,7 @@ from skewmi.deploy.wire.topics import TRIGGER
 
 _TIME = (Nodetype.NAME, "builtin_interfaces/msg/Time")
 
+
 @cache
 def store() -> Any:
     """The type store: our messages and the Trigger service."""
