@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 
 import pytest
+
+from skewmi.extras import MODULES
+
+OF_EXTRAS = tuple(module for modules in MODULES.values() for module in modules)
 
 FORBIDDEN: dict[str, tuple[str, ...]] = {
     "skewmi.errors": ("numpy", "mujoco", "torch"),
@@ -70,7 +75,7 @@ FORBIDDEN: dict[str, tuple[str, ...]] = {
         "skewmi.calibration.servo_identification",
     ),
     "skewmi.evaluation": ("tyro", "skewmi.sim", "skewmi.export", "skewmi.cli"),
-    "skewmi.cli.main": ("torch", "mujoco", "zenoh", "skewmi.sim", "skewmi.train"),
+    "skewmi.cli.main": ("numpy", *OF_EXTRAS, "mujoco", "zenoh", "skewmi.sim", "skewmi.train"),
 }
 """Package -> what must not be loaded after importing all of it (`cli.main`: only itself)."""
 
@@ -128,3 +133,51 @@ def test_readers_of_sweeps_and_processes_of_clusters_need_no_torch(module: str) 
 def test_simulated_robot_server_runs_without_torch() -> None:
     loaded = loaded_modules("skewmi.deploy.robot", ())
     assert sorted(loaded & {"torch", "skewmi.train", "skewmi.export"}) == []
+
+
+@pytest.mark.parametrize(
+    "modules",
+    [
+        ("skewmi.cli.deploy", "skewmi.deploy.session.connect", "skewmi.deploy.recording.recorder"),
+        ("skewmi.deploy.recording.recorder_process",),
+        ("skewmi.deploy.robot.robot_process", "skewmi.deploy.robot.backends.mujoco.backend"),
+        ("skewmi.cli.robot", "skewmi.deploy.robot.backends.egm.backend"),
+    ],
+    ids=["session", "recorder", "robot server", "bridge"],
+)
+def test_what_a_robots_computer_runs_starts_without_what_it_does_not_use(
+    modules: tuple[str, ...],
+) -> None:
+    """Each costs a second or half a gigabyte there. scipy comes with mink's solvers."""
+    code = (
+        "import importlib, sys\n"
+        "for name in sys.argv[1:]: importlib.import_module(name)\n"
+        "from skewmi.sim import tasks\n"
+        "tasks.find(tasks.default())\n"
+        "print('\\n'.join(sys.modules))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, *modules],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, "MUJOCO_GL": "disabled"},
+    )
+    loaded = {name.partition(".")[0] for name in done.stdout.split()}
+    assert sorted(loaded & {*OF_EXTRAS, "qpsolvers", "glfw", "imageio", "pandas"}) == []
+
+
+def test_a_robot_that_is_started_reads_no_command_line() -> None:
+    loaded = loaded_modules("skewmi.deploy.robot.robot_process", ())
+    assert sorted(loaded & {"tyro", "rich", "mink", "mujoco", "onnxruntime"}) == []
+
+
+def test_mink_can_still_solve() -> None:
+    code = (
+        "import sys\n"
+        "from skewmi.deploy.motion.differential_ik import mink\n"
+        "assert 'qpsolvers' not in sys.modules\n"
+        "import qpsolvers\n"
+        "assert mink.solve_ik.__globals__['qpsolvers'].Problem is qpsolvers.Problem"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -169,13 +169,13 @@ def test_deployment_speaks_to_nobody_but_the_robot(tmp_path: Path) -> None:
 
 def test_viewer_of_ours_keeps_no_analytics(tmp_path: Path) -> None:
     """The real program, in the environment that we give it; with no screen it only serves."""
-    from skewmi.deploy.replay.viewer import _executable
+    from skewmi.deploy.replay.viewer import executable
     from skewmi.deploy.robot.process import free_port
 
     home = tmp_path / "home"
     environment = {**quiet_environment(home), **privacy.VIEWER_SWITCHES}
     process = subprocess.Popen(
-        [str(_executable()), "--serve-grpc", "--port", str(free_port())],
+        [str(executable()), "--serve-grpc", "--port", str(free_port())],
         env={**environment, "RUST_LOG": "re_analytics=trace"},
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,

@@ -48,7 +48,7 @@ def gathering_viewer(path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]
     """Rerun as a viewer without a screen: takes what comes over gRPC into a file."""
     port = free_port()
     child = subprocess.Popen(
-        [viewer._executable(), "--save", path, "--port", str(port), "--bind", "127.0.0.1"],
+        [viewer.executable(), "--save", path, "--port", str(port), "--bind", "127.0.0.1"],
         stderr=subprocess.DEVNULL,
     )
     try:

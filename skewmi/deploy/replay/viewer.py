@@ -79,7 +79,7 @@ def spawn_viewer(otherwise: str, url: str = DEFAULT_URL) -> str:
             f"there is no screen for a Rerun viewer (none of {', '.join(_SCREENS)} is set); "
             f"{otherwise}"
         )
-    command = [str(_executable()), "--port", str(port), "--bind", host, "--expect-data-soon"]
+    command = [str(executable()), "--port", str(port), "--bind", host, "--expect-data-soon"]
     # Its welcome screen fetches a list of examples from the network.
     command.append("--hide-welcome-screen")
     with TemporaryFile() as words:
@@ -129,7 +129,7 @@ def _listens(host: str, port: int, *, timeout_s: float) -> bool:
     return True
 
 
-def _executable() -> Path:
+def executable() -> Path:
     """The viewer that comes with the Python package: its folder need not be on the PATH.
 
     Raises:
