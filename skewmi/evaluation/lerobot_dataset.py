@@ -128,7 +128,8 @@ class DatasetWriter:
         }
         arrays, stats = {}, {}
         for name, feature in self._features.items():
-            column = np.asarray(columns[name], dtype=_DTYPES[feature.dtype]).reshape(count, -1)
+            values_of: NDArray[Any] = np.asarray(columns[name], dtype=_DTYPES[feature.dtype])
+            column = values_of.reshape(count, -1)
             assert column.shape[1] == feature.size, name
             self._columns[name].append(column)
             stats[name] = statistics(column)
