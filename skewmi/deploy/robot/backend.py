@@ -224,6 +224,15 @@ class LinkVaries(Protocol):
         another object begins anew with its seed."""
 
 
+@runtime_checkable
+class TellsContact(Protocol):
+    """A robot that knows what it touches. For simulated robots, besides `RobotBackend`."""
+
+    def contact_forces(self) -> tuple[float, float]:
+        """Largest contact force on the hand, and on the rest of the arm, since this was asked
+        last, N."""
+
+
 def fresh_start_ns() -> int:
     """A time for a robot server's clock to start from, on a full second, ns.
 

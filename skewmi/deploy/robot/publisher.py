@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 
 from skewmi.deploy.robot.backend import LinkErrors, LinkVaries, RobotBackend, RobotState
 from skewmi.deploy.robot.bad_link import BadLink
+from skewmi.deploy.robot.contact_log import ContactLog
 from skewmi.deploy.robot.controller import RobotController
 from skewmi.deploy.robot.states import ServerEvent, ServerState
 from skewmi.deploy.robot.status import RobotStatus
@@ -51,6 +52,7 @@ class StatePublisher:
         self._refused_told = 0
         self._told: Mapping[str, str] = {}
         self._next_told_ns = 0
+        self._contact = ContactLog(backend)
         self.dropped: Callable[[], int] = lambda: 0
         """How many commands were not judged, for want of time."""
 
@@ -78,6 +80,7 @@ class StatePublisher:
             return
         self._next_ns = stamp_ns - stamp_ns % CYCLE_NS + CYCLE_NS
         self._stamp_ns = stamp_ns
+        self._contact.note(stamp_ns)
         if self._link_varies is not None:
             self._vary_link(self._link_varies.link_errors())
         # The scene first: whoever sees joint states of a stamp has its scene states already.
@@ -183,4 +186,5 @@ class StatePublisher:
         if anew or now_ns >= self._next_told_ns:
             self._next_told_ns = now_ns + _STATUS_PERIOD_NS
             self._told = self._backend.told()
+            return {**self._told, **self._contact.take()}
         return self._told

@@ -13,6 +13,7 @@ from skewmi.deploy.robot.backends import BackendOptions
 from skewmi.deploy.robot.backends.mujoco.scene import MujocoScene
 from skewmi.deploy.robot.backends.mujoco.simulation import ArmSimulation
 from skewmi.deploy.robot.pace import Beat, Pace, make_pace
+from skewmi.deploy.wire.simulation_status import SCENE_POSES
 from skewmi.errors import CommandRefusedError, ConfigurationError
 from skewmi.robot_models import yumi
 from skewmi.sim.arm.definition import FINGER_MAX
@@ -22,7 +23,8 @@ _log = logging.getLogger(__name__)
 
 
 class MujocoBackend:
-    """Arm and gripper of a simulation; satisfies `RobotBackend` and `LinkVaries`.
+    """Arm and gripper of a simulation; satisfies `RobotBackend`, `LinkVaries` and
+    `TellsContact`.
 
     Args:
         simulation: Of a task; the nominal one of the registry's default task if not given.
@@ -117,8 +119,12 @@ class MujocoBackend:
         return None if self.lock_step else self.simulation.link_errors
 
     def told(self) -> Mapping[str, str]:
-        """Nothing more."""
-        return {}
+        """Where the scene really stands: for pictures; sessions find out by themselves."""
+        return {SCENE_POSES: self.scene.poses_json}
+
+    def contact_forces(self) -> tuple[float, float]:
+        """See `TellsContact`."""
+        return self.simulation.contact.lately()
 
     def close(self) -> None:
         """Nothing is left."""

@@ -31,6 +31,7 @@ class ContactMeter:
         self._ticks = 0
         self._window: deque[float] = deque([0.0] * _WINDOW, maxlen=_WINDOW)
         self._sum = self._hand_peak = self._standing = self._arm_peak = self._outside = 0.0
+        self._lately = 0.0, 0.0
         self._least_trace = 3.0
 
     def add(self, on_hand: Array, on_arm: Array, position_w: Array, rotation: Array) -> None:
@@ -50,10 +51,17 @@ class ContactMeter:
         self._hand_peak = max(self._hand_peak, hand)
         self._standing = max(self._standing, self._sum / _WINDOW)
         u, v, w = map(float, on_arm)
-        self._arm_peak = max(self._arm_peak, math.dist((u, v, w), (x, y, z)))
+        arm = math.dist((u, v, w), (x, y, z))
+        self._arm_peak = max(self._arm_peak, arm)
+        self._lately = max(self._lately[0], hand), max(self._lately[1], arm)
         beyond = np.maximum(np.maximum(self._low - position_w, position_w - self._high), 0.0)
         self._outside = max(self._outside, math.sqrt(float(beyond @ beyond)))
         self._least_trace = min(self._least_trace, float(self._rotation @ rotation))
+
+    def lately(self) -> tuple[float, float]:
+        """Largest force on the hand, and on the rest of the arm, since this was asked last, N."""
+        forces, self._lately = self._lately, (0.0, 0.0)
+        return forces
 
     def summary(self) -> dict[str, float]:
         """By key of `skewmi.contact.QUANTITIES`; empty before the first tick."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from skewmi.deploy.robot.backend import SceneState
-from skewmi.deploy.robot.backends.mujoco.scene_geometry import scene_geometry
+from skewmi.deploy.robot.backends.mujoco.scene_geometry import scene_geometry, scene_poses
 from skewmi.deploy.robot.backends.mujoco.simulation import ArmSimulation
+from skewmi.deploy.wire.simulation_status import encode_poses
 from skewmi.policy_io import Array, Workspace
 from skewmi.sim.arm.scene import workspace_of
 
@@ -29,6 +30,7 @@ class MujocoScene:
         self.workspace: Workspace = workspace_of(simulation.layout)
         geometry = scene_geometry(simulation.nominal_model, spec.scene_fields)
         self.shapes_json = geometry.to_json()
+        self._note_poses()
 
     def state(self) -> SceneState:
         """Measured joints of the scene."""
@@ -44,4 +46,12 @@ class MujocoScene:
 
     def reset(self, seed: int) -> Array:
         """Scene as the task begins, arm at its start configuration, as `seed` varies them."""
-        return self._simulation.reset(seed)
+        q = self._simulation.reset(seed)
+        self._note_poses()
+        return q
+
+    def _note_poses(self) -> None:
+        simulation = self._simulation
+        poses = scene_poses(simulation.scene.model, simulation.nominal_model)
+        self.poses_json = encode_poses(poses)
+        """Where the scene stands since the last reset, see `simulation_status.SCENE_POSES`."""

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from skewmi.deploy.wire.scene_geometry import SceneGeometry, SceneJoint, ScenePart
+from skewmi.deploy.wire.simulation_status import ScenePose
 
 _ROBOT_PREFIXES = ("yumi_", "gripper_")
 
@@ -54,13 +55,52 @@ def scene_geometry(model: mujoco.MjModel, fields: Mapping[str, str] | None = Non
     return SceneGeometry(tuple(parts), tuple(joints.values()))
 
 
+def scene_poses(model: mujoco.MjModel, nominal: mujoco.MjModel) -> tuple[ScenePose, ...]:
+    """How the bodies that stand in the world are placed in one model, compared with another.
+
+    Args:
+        model: As it is.
+        nominal: As it is described; the same bodies.
+
+    Returns:
+        One for each body that stands elsewhere, with all that it carries.
+    """
+    poses = []
+    for body in np.flatnonzero(model.body_parentid == 0)[1:]:
+        there, described = model.body_pos[body], nominal.body_pos[body]
+        back, turn = np.empty(4), np.empty(4)
+        mujoco.mju_negQuat(back, nominal.body_quat[body])
+        mujoco.mju_mulQuat(turn, model.body_quat[body], back)
+        turned = np.empty(3)
+        mujoco.mju_rotVecQuat(turned, described, turn)
+        if np.array_equal(there, described) and np.allclose(turn, (1.0, 0.0, 0.0, 0.0)):
+            continue
+        poses.append(
+            ScenePose(
+                tuple(_geom_name(model, geom) for geom in _carried(model, int(body))),
+                tuple(map(float, there - turned)),
+                tuple(map(float, turn)),
+            )
+        )
+    return tuple(poses)
+
+
+def _carried(model: mujoco.MjModel, body: int) -> list[int]:
+    """Geoms of a body that stands in the world, and of all bodies above it in the tree."""
+    return [int(geom) for geom in np.flatnonzero(model.body_rootid[model.geom_bodyid] == body)]
+
+
+def _geom_name(model: mujoco.MjModel, geom: int) -> str:
+    return model.geom(geom).name or f"geom_{geom}"
+
+
 def _part(model: mujoco.MjModel, data: mujoco.MjData, geom: int, joint: int) -> ScenePart:
     quaternion = np.empty(4)
     rotation = data.geom_xmat[geom]
     mujoco.mju_mat2Quat(quaternion, rotation)
     centre, half_size = model.geom_aabb[geom][:3], model.geom_aabb[geom][3:]
     return ScenePart(
-        name=model.geom(geom).name or f"geom_{geom}",
+        name=_geom_name(model, geom),
         joint=model.joint(joint).name if joint >= 0 else "",
         half_size=tuple(map(float, half_size)),
         position=tuple(map(float, data.geom_xpos[geom] + rotation.reshape(3, 3) @ centre)),
