@@ -48,6 +48,7 @@ ROOMS: dict[str, set[str]] = {
     },
     "recording": {"child", "outputs", "deploy.wire"},
     "replay": {
+        "contact",
         "policy_io",
         "success",
         "smoothness",

@@ -191,6 +191,7 @@ def _metadata(
         seed=str(options.seed),
         limit_profile=limits.name,
         robot_model_hash=yumi.MODEL_HASH,
+        lock_step=str(options.lock_step),
         **({} if options.variation is None else {"variation": options.variation}),
         **({} if options.calibration is None else {"calibration": str(options.calibration)}),
     )

@@ -21,6 +21,8 @@ from skewmi.deploy.replay.data import (
     no_motion,
     tracking_error,
 )
+from skewmi.deploy.replay.timing import TimingBuffer
+from skewmi.deploy.replay.told import ToldBuffer
 from skewmi.deploy.wire import messages, topics
 from skewmi.deploy.wire.messages import JointStates, Status, refused_stamps
 from skewmi.errors import ConfigurationError, TransportError
@@ -41,7 +43,7 @@ def understand(recording: Recording) -> Run:
     assembler = RunAssembler(Subject.from_metadata(recording.metadata, str(recording.path)))
     for topic, recorded in recording.messages.items():
         for message in recorded:
-            assembler.feed(topic, message.payload)
+            assembler.feed(topic, message.payload, message.publish_time_ns)
     run = assembler.take(final=True)
     if run is None:
         raise ConfigurationError(
@@ -76,6 +78,9 @@ class RunAssembler:
         }
         self._fingers = SeriesBuffer(only=yumi.finger_names("right")[:1])
         self._left = SeriesBuffer(only=yumi.joint_names("left"))
+        self._torque = SeriesBuffer(only=self._names, quantity="effort")
+        self._told = ToldBuffer()
+        self._timing = TimingBuffer(lock_step=subject.lock_step)
         self._statuses: list[Status] = []
         self._last_message: dict[str, str] = {}
         self._episode: list[tuple[float, bool]] = []
@@ -93,8 +98,17 @@ class RunAssembler:
             },
         }
 
-    def feed(self, topic: str, payload: bytes) -> None:
-        """Take in one message; each topic's in order. Others than ours are ignored."""
+    def feed(self, topic: str, payload: bytes, sent_ns: int | None = None) -> None:
+        """Take in one message; each topic's in order. Others than ours are ignored.
+
+        Args:
+            topic: Its name.
+            payload: What travelled.
+            sent_ns: The sender's wall clock, if it is known.
+        """
+        stamp_ns = None if sent_ns is None else messages.peek_stamp_ns(payload)
+        if sent_ns is not None and stamp_ns is not None:
+            self._timing.add(topic, stamp_ns, sent_ns)
         if topic not in self._handlers:
             return
         decode, handle = self._handlers[topic]
@@ -147,6 +161,12 @@ class RunAssembler:
             success_s=self._successes(observation),
             malformed=self.malformed,
             duration_s=self._duration_s,
+            torque=self._torque.take(origin_ns),
+            forces=self._told.take_forces(origin_ns),
+            placements=self._told.take_poses(origin_ns),
+            intervals=self._timing.take_intervals(origin_ns),
+            spare=self._timing.take_spare(origin_ns, final=final),
+            counts=self._told.take_counts(origin_ns),
         )
         self._joints, self._statuses = [], []
         return run
@@ -160,12 +180,14 @@ class RunAssembler:
             self._joints.append(joints)
             self._fingers.add(joints)
             self._left.add(joints)
+            self._torque.add(joints)
 
     def _take_status(self, status: Status) -> None:
         # States are repeated for those who come late; a refusal is told once.
         news = self._last_message.get(status.name) != status.message
         try:
             refused_ns = refused_stamps(status)
+            self._told.add(status)
         except TransportError:
             self.malformed += 1
             return

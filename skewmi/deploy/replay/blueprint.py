@@ -1,12 +1,14 @@
-"""How a view is laid out: 3D and events on the left, curves in tabs on the right."""
+"""How a view is laid out: 3D, events and legend on the left, curves in tabs on the right."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import rerun.blueprint as rrb
 
 from skewmi.deploy.replay.style import TIMELINE
+from skewmi.deploy.replay.timing import REGULAR, interval_path
 
 QUANTITIES = ("position", "velocity", "acceleration", "jerk")
 """Of each joint, as fractions of its limits."""
@@ -15,13 +17,13 @@ TRAIL_S = 20.0
 """What a live view shows of the past, s: an episode."""
 
 
-def blueprint(title: str, *, policy: bool, scene: tuple[str, ...], live: bool) -> Any:
+def blueprint(title: str, *, policy: bool, scene: Mapping[str, str], live: bool) -> Any:
     """The layout.
 
     Args:
         title: Name of the 3D view.
         policy: Whether there are observations to show.
-        scene: Names of the scene's joints.
+        scene: Titles of the curves of the scene's joints, by name.
         live: Follow the newest time and show the last `TRAIL_S`; else everything.
     """
     # No range at all would show the path's latest stretch only, and all of a curve.
@@ -34,14 +36,22 @@ def blueprint(title: str, *, policy: bool, scene: tuple[str, ...], live: bool) -
         if live
         else None
     )
+    tabs = _Tabs(lately)
+    shown = [tabs.overview(scene), tabs.hand(), tabs.joints(), tabs.forces()]
+    if policy:
+        shown.append(tabs.policy())
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(
                 _space(title, lately),
-                rrb.TextLogView(origin="/events", name="state machines"),
-                row_shares=[3, 1],
+                rrb.Horizontal(
+                    _events(),
+                    rrb.TextDocumentView(origin="/legend", name="legend"),
+                    column_shares=[5, 4],
+                ),
+                row_shares=[5, 3],
             ),
-            rrb.Tabs(*_tabs(policy, scene, lately), name="curves", active_tab=0),
+            rrb.Tabs(*shown, tabs.timing(), tabs.spectrum(), name="curves", active_tab=0),
             column_shares=[5, 4],
         ),
         rrb.TimePanel(
@@ -53,51 +63,107 @@ def blueprint(title: str, *, policy: bool, scene: tuple[str, ...], live: bool) -
     )
 
 
-def _tabs(policy: bool, scene: tuple[str, ...], lately: Any) -> list[Any]:
-    """Curves of joints and hand, and of policy and scene where there are any."""
+def _events() -> Any:
+    return rrb.TextLogView(
+        origin="/events",
+        name="events: time, level, who, what",
+        columns=rrb.TextLogColumns(
+            timeline_columns=[TIMELINE], text_log_columns=["loglevel", "entitypath", "body"]
+        ),
+    )
 
-    def curves(origin: str, name: str, *, legend: bool = True) -> Any:
+
+class _Tabs:
+    """Plots; the unit is in each one's name.
+
+    Args:
+        lately: Range of time to show; None for everything.
+    """
+
+    def __init__(self, lately: Any) -> None:
+        self._lately = lately
+
+    def _curves(self, origin: str, name: str, *, legend: bool = True) -> Any:
         return rrb.TimeSeriesView(
             origin=origin,
             name=name,
             plot_legend=rrb.PlotLegend(visible=legend),
-            time_ranges=lately,
+            time_ranges=self._lately,
         )
 
-    tabs = [
-        rrb.Vertical(
+    def overview(self, scene: Mapping[str, str]) -> Any:
+        """What the task is about, and whether it is done gently."""
+        return rrb.Vertical(
+            *(self._curves(f"/scene_joints/{name}", title) for name, title in scene.items()),
+            self._curves("/hand/measured", "measured hand in world, and edges of workspace [mm]"),
+            self._curves("/hand/force", "contact force [N], largest of each 20 ms"),
+            self._curves("/hand/tilt", "hand tilt [deg]"),
+            name="overview",
+        )
+
+    def hand(self) -> Any:
+        """Where it is, and how far from its command."""
+        return rrb.Vertical(
+            self._curves("/hand/commanded", "commanded hand in world, edges of workspace [mm]"),
+            self._curves("/hand/measured", "measured hand in world, edges of workspace [mm]"),
+            self._curves("/hand/error", "commanded - measured hand [mm]"),
+            name="hand",
+        )
+
+    def joints(self) -> Any:
+        """Commanded motion against its limits."""
+        return rrb.Vertical(
             # One legend is enough: four would cover the curves.
             *(
-                curves(f"/joints/{name}", f"{name} / limit", legend=name == QUANTITIES[0])
+                self._curves(
+                    f"/joints/{name}",
+                    f"commanded {name} [1 = limit of the joint]",
+                    legend=name == QUANTITIES[0],
+                )
                 for name in QUANTITIES
             ),
             row_shares=[3, 2, 2, 2],
             name="joints against limits",
-        ),
-        rrb.BarChartView(
+        )
+
+    def forces(self) -> Any:
+        """What the arm pushes with, and against."""
+        return rrb.Vertical(
+            self._curves("/joints/torque", "measured joint torque [N m]"),
+            self._curves("/hand/force", "contact force [N], largest of each 20 ms"),
+            name="torques and forces",
+        )
+
+    def policy(self) -> Any:
+        """What it saw, and what it did."""
+        return rrb.Vertical(
+            self._curves("/policy/observation_in_range", "observation [0..1 of its range]"),
+            self._curves("/policy/action", "action [1 = most in a control step]"),
+            name="policy",
+        )
+
+    def timing(self) -> Any:
+        """Whether everybody was in time."""
+        return rrb.Vertical(
+            *(
+                self._curves(
+                    interval_path(kind.label),
+                    f"between two {kind.label} as sent [ms], meant {kind.period_ms:g} ms",
+                    legend=False,
+                )
+                for kind in REGULAR
+            ),
+            self._curves("/timing/spare", "command sent before it is due [ms]", legend=False),
+            self._curves("/timing/counts", "counted since the robot server's start [1]"),
+            name="timing",
+        )
+
+    def spectrum(self) -> Any:
+        """At which frequencies the joints are accelerated."""
+        return rrb.BarChartView(
             origin="/joints/spectrum",
-            name="commanded acceleration, % of its power per Hz (last bar: 30 Hz and more)",
-        ),
-        rrb.Vertical(
-            curves("/hand/commanded", "hand in workspace box, commanded"),
-            curves("/hand/measured", "hand in workspace box, measured"),
-            curves("/hand/error", "commanded - measured, mm"),
-            name="hand against box",
-        ),
-    ]
-    if policy:
-        tabs.append(
-            rrb.Vertical(
-                curves("/policy/observation_in_range", "observation, 0..1 of its range"),
-                curves("/policy/action", "action"),
-                name="policy",
-            )
+            name="commanded acceleration [% of its power per Hz; last bar: 30 Hz and more]",
         )
-    if scene:
-        tabs.append(
-            rrb.Vertical(*(curves(f"/scene_joints/{name}", name) for name in scene), name="scene")
-        )
-    return tabs
 
 
 def _space(title: str, lately: Any) -> Any:

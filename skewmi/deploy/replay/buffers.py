@@ -91,14 +91,21 @@ class CommandBuffer:
 
 
 class SeriesBuffer:
-    """Positions of the messages that name the same things as the first one."""
+    """Numbers of the messages that name the same things as the first one.
 
-    def __init__(self, only: tuple[str, ...] | None = None) -> None:
-        self._only = only
+    Args:
+        only: Names that count; all by default.
+        quantity: `position`, `velocity` or `effort`; messages without it are passed over.
+    """
+
+    def __init__(self, only: tuple[str, ...] | None = None, quantity: str = "position") -> None:
+        self._only, self._quantity = only, quantity
         self._names: tuple[str, ...] = ()
         self._rows: list[JointStates] = []
 
     def add(self, states: JointStates) -> None:
+        if not len(getattr(states, self._quantity)):
+            return
         self._names = self._names or states.names
         if states.names == self._names:
             self._rows.append(states)
@@ -110,5 +117,7 @@ class SeriesBuffer:
         return Series(
             np.array([(row.stamp_ns - origin_ns) / NS_PER_S for row in rows]),
             tuple(self._names[i] for i in columns),
-            np.array([row.position[columns] for row in rows]).reshape(len(rows), len(columns)),
+            np.array([getattr(row, self._quantity)[columns] for row in rows]).reshape(
+                len(rows), len(columns)
+            ),
         )

@@ -7,15 +7,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from skewmi.deploy.recording.reader import LAYOUT, LIMITS, SCENE
+from skewmi.deploy.recording.reader import LAYOUT, LIMITS, LOCK_STEP, SCENE, VARIATION
 from skewmi.deploy.wire.messages import Status
 from skewmi.deploy.wire.scene_geometry import SceneGeometry
+from skewmi.deploy.wire.simulation_status import ScenePose
 from skewmi.errors import ConfigurationError
 from skewmi.policy_io import PolicyLayout
 from skewmi.robot_models import frames
@@ -45,8 +46,24 @@ class Motion:
     @cached_property
     def hand_w(self) -> Array:
         """Flange in world, m. Shape (n, 3)."""
-        position, _ = ArmKinematics("right").forward(self.q)
-        return np.asarray(position + frames.BASE_IN_WORLD)
+        return np.asarray(self._flange[0] + frames.BASE_IN_WORLD)
+
+    def tilt_deg(self, hold_wxyz: tuple[float, ...]) -> Array:
+        """Angle between the flange and how it is to be held.
+
+        Args:
+            hold_wxyz: Of `Workspace.hand_quaternion_wxyz`.
+
+        Returns:
+            Degrees. Shape (n,).
+        """
+        trace = np.einsum("nij,ij->n", self._flange[1], rotation_of(hold_wxyz))
+        tilt: Array = np.degrees(np.arccos(np.clip((trace - 1.0) / 2.0, -1.0, 1.0)))
+        return tilt
+
+    @cached_property
+    def _flange(self) -> tuple[Array, Array]:
+        return ArmKinematics("right").forward(self.q)
 
 
 def no_motion() -> Motion:
@@ -65,6 +82,20 @@ class Series:
     """Shape (n, len(names))."""
 
 
+def no_series() -> Series:
+    """Of nothing."""
+    return Series(np.zeros(0), (), np.zeros((0, 0)))
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where the scene stands from a time on."""
+
+    time_s: float
+    poses: tuple[ScenePose, ...]
+    """Of what stands elsewhere than described."""
+
+
 @dataclass(frozen=True)
 class Subject:
     """What is known of a run before it begins."""
@@ -73,6 +104,10 @@ class Subject:
     limits: dict[str, Array]
     """Per joint, by name: position_lower, position_upper, velocity, acceleration, jerk."""
     geometry: SceneGeometry | None
+    lock_step: bool = False
+    """Whether robot and session wait for each other."""
+    variation: str = ""
+    """What a simulated robot was told to vary; empty if nothing."""
 
     @staticmethod
     def from_metadata(metadata: Mapping[str, str], source: str) -> Subject:
@@ -90,6 +125,8 @@ class Subject:
             layout=None if layout is None else PolicyLayout.from_json(layout),
             limits=_limits(metadata.get(LIMITS), source),
             geometry=None if scene is None else SceneGeometry.from_json(scene),
+            lock_step=metadata.get(LOCK_STEP) == str(True),
+            variation=metadata.get(VARIATION, ""),
         )
 
 
@@ -116,6 +153,30 @@ class Run:
     """Messages so far that could not be decoded, left out."""
     duration_s: float
     """Time of the last motion so far."""
+    torque: Series = field(default_factory=no_series)
+    """Measured effort of the arm's joints, N m; without names if nobody measures it."""
+    forces: Series = field(default_factory=no_series)
+    """Largest contact forces of each cycle, N, as a simulated robot tells them."""
+    placements: tuple[Placement, ...] = ()
+    """Where a simulated scene stands, as its robot tells; only changes."""
+    intervals: Mapping[str, Series] = field(default_factory=dict)
+    """Time between two messages as sent, ms; see `timing.REGULAR`."""
+    spare: Series = field(default_factory=no_series)
+    """How long before its time each command was sent, ms."""
+    counts: Series = field(default_factory=no_series)
+    """What went wrong, as the robot server counts it since it started."""
+
+
+def rotation_of(quaternion_wxyz: tuple[float, ...]) -> Array:
+    """Rotation matrix of a unit quaternion. Shape (3, 3)."""
+    w, x, y, z = quaternion_wxyz
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
 
 
 def tracking_error(commanded: Motion, measured: Motion) -> Series:

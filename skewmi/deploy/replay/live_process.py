@@ -14,16 +14,12 @@ import os
 import sys
 import threading
 import time
-from pathlib import Path
-from typing import Any
-
-import rerun as rr
 
 from skewmi.child import tell_parent
 from skewmi.deploy.recording.listener import Counts, Input, listen
-from skewmi.deploy.replay import viewer, web
 from skewmi.deploy.replay.assembler import RunAssembler
 from skewmi.deploy.replay.data import Subject
+from skewmi.deploy.replay.streams import Streams
 from skewmi.deploy.replay.view import RunView
 from skewmi.deploy.wire.topics import TOPICS, YUMI_CONTROLLER_STATE
 from skewmi.deploy.wire.transport import Link
@@ -44,66 +40,12 @@ of a process that comes last."""
 _NICENESS = 10
 """Drawing waits for those who move the arm; a viewer that is spawned inherits it."""
 
-_FLUSH_TIMEOUT_S = 3.0
 _GIVE_UP_S = 5.0
 """After the owner's end: a viewer that takes nothing for minutes fills Rerun's buffers, and
 drawing waits for it for ever."""
 
 
-class _Streams:
-    """A Rerun stream to each place that the task asks for: a dead one must not hold up another."""
-
-    def __init__(self, streams: list[Any]) -> None:
-        self.all = streams
-
-    @staticmethod
-    def open(task: dict[str, Any]) -> _Streams:
-        """Open all of them.
-
-        Args:
-            task: See the module.
-
-        Raises:
-            ConfigurationError: A viewer cannot be started or reached.
-        """
-        name = f"{Path(task['title']).name} {time.strftime('%H:%M:%S')}"
-        streams: list[Any] = []
-        if task["out"] is not None:
-            streams.append(_open(name, rr.FileSink(task["out"])))
-        if task["web"] is not None:
-            streams.append(rr.RecordingStream(APPLICATION))
-            web.serve(streams[-1], tuple(task["web"]))
-            streams[-1].send_recording_name(name)
-        if task["spawn"]:
-            url = viewer.spawn_viewer(
-                "use --live-out FILE, or --live-connect where there is a screen"
-            )
-            streams.append(_open(name, rr.GrpcSink(url)))
-        if task["connect"] is not None:
-            viewer.require_viewer(task["connect"])
-            streams.append(_open(name, rr.GrpcSink(task["connect"])))
-        return _Streams(streams)
-
-    def finish(self) -> bool:
-        """Send what is left, the file first; whether everything was taken in time."""
-        for stream in self.all:
-            try:
-                stream.flush(timeout_sec=_FLUSH_TIMEOUT_S)
-                stream.disconnect()
-            except (RuntimeError, ValueError) as error:
-                sys.stderr.write(f"{' '.join(str(error).split())}\n")
-                return False
-        return True
-
-
-def _open(name: str, sink: Any) -> Any:
-    stream = rr.RecordingStream(APPLICATION)
-    stream.set_sinks(sink)
-    stream.send_recording_name(name)
-    return stream
-
-
-def _show(source: Input, streams: _Streams) -> tuple[Counts, RunAssembler]:
+def _show(source: Input, streams: Streams) -> tuple[Counts, RunAssembler]:
     task = source.task
     subject = Subject.from_metadata(task["metadata"], "the run's description")
     with Link.open(source.transport(), f"skewmi_live_{os.getpid()}") as link:
@@ -121,7 +63,9 @@ def _show(source: Input, streams: _Streams) -> tuple[Counts, RunAssembler]:
             link,
             source,
             PERIOD_S,
-            on_sample=lambda topic, sample: assembler.feed(topic.name, sample.payload),
+            on_sample=lambda topic, sample: assembler.feed(
+                topic.name, sample.payload, sample.source_time_ns
+            ),
             on_round=draw,
             on_line=lambda content: None,
             topics=_SHOWN,
@@ -141,7 +85,7 @@ def main() -> int:
     """Draw until standard input ends. Returns the exit code; failures go to stderr."""
     with contextlib.suppress(OSError):
         os.nice(_NICENESS)
-    opened: list[_Streams] = []
+    opened: list[Streams] = []
 
     def give_up() -> None:
         time.sleep(_GIVE_UP_S)
@@ -151,7 +95,7 @@ def main() -> int:
 
     source = Input.open(on_end=give_up)
     try:
-        streams = _Streams.open(source.task)
+        streams = Streams.open(source.task, APPLICATION)
         opened.append(streams)
         counts, assembler = _show(source, streams)
     except (SkewmiError, OSError, RuntimeError) as error:

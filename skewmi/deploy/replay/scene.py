@@ -13,7 +13,6 @@ import rerun as rr
 
 from skewmi.deploy.replay.data import Motion, Run, Series
 from skewmi.deploy.replay.style import BOX, COMMANDED, MEASURED, TIMELINE, Array, Canvas
-from skewmi.deploy.wire.scene_geometry import SceneGeometry, SceneJoint
 from skewmi.policy_io import Workspace
 from skewmi.robot_models import frames, yumi
 from skewmi.robot_models.urdf import build_urdf
@@ -171,48 +170,3 @@ class PathView:
             self._canvas.recording.log(
                 path, rr.LineStrips3D(strips, colors=[color], radii=[0.0008])
             )
-
-
-class SceneView:
-    """The shapes around the robot, each under its joint; a joint's entity carries the motion.
-
-    Args:
-        canvas: Where to draw.
-        geometry: The shapes.
-    """
-
-    def __init__(self, canvas: Canvas, geometry: SceneGeometry) -> None:
-        self._canvas, self._geometry = canvas, geometry
-        for part in geometry.parts:
-            canvas.style(
-                f"/world/scene/{part.joint or 'fixed'}/{part.name}",
-                rr.Boxes3D(
-                    half_sizes=[part.half_size],
-                    centers=[part.position],
-                    quaternions=[rr.Quaternion(xyzw=np.roll(part.quaternion_wxyz, -1))],
-                    colors=[part.colour],
-                    fill_mode="solid",
-                ),
-            )
-
-    def draw(self, states: Series) -> None:
-        """Move the scene's joints."""
-        for joint in self._geometry.joints:
-            if joint.name in states.names and len(states.time_s):
-                values = states.values[:, states.names.index(joint.name)]
-                path = f"/world/scene/{joint.name}"
-                self._canvas.columns(path, states.time_s, _joint_columns(joint, values))
-
-
-def _joint_columns(joint: SceneJoint, values: Array) -> Any:
-    axis, anchor = np.array(joint.axis), np.array(joint.anchor)
-    if joint.kind == "slide":
-        return rr.Transform3D.columns(translation=values[:, None] * axis)
-    # p' = R (p - anchor) + anchor
-    half = values / 2
-    vector = np.sin(half)[:, None] * axis
-    quaternion = np.column_stack([vector, np.cos(half)])
-    turned = anchor + 2 * np.cross(
-        vector, np.cross(vector, anchor) + np.cos(half)[:, None] * anchor
-    )
-    return rr.Transform3D.columns(translation=anchor - turned, quaternion=quaternion)

@@ -69,7 +69,8 @@ def test_file_holds_robot_scene_curves_and_events(recorded, tmp_path):
     assert rows["/world/hand/commanded"] == commanded
     assert rows["/world/scene/lid_hinge"] == rows["/world/scene/button_slide"] == measured
     assert rows["/policy/observation"] == rows["/policy/action/fields"] == 20
-    assert rows["/events"] == 3
+    assert rows["/events/endpoint"] == 2
+    assert rows["/events/task"] == 1
 
 
 def test_recording_without_metadata_or_with_a_torn_end_is_shown(recorded, tmp_path):

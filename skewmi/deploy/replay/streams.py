@@ -1,0 +1,69 @@
+"""Where a live view goes: a viewer, a file, a page; several at once."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import rerun as rr
+
+from skewmi.deploy.replay import viewer, web
+
+_FLUSH_TIMEOUT_S = 3.0
+
+
+class Streams:
+    """A Rerun stream to each place that the task asks for: a dead one must not hold up another."""
+
+    def __init__(self, streams: list[Any]) -> None:
+        self.all = streams
+
+    @staticmethod
+    def open(task: dict[str, Any], application: str) -> Streams:
+        """Open all of them.
+
+        Args:
+            task: "title", and where: "spawn" (whether), "connect" (an address), "out" (a file),
+                "web" (ports of data and page); none of what is None.
+            application: What Rerun calls it.
+
+        Raises:
+            ConfigurationError: A viewer cannot be started or reached.
+        """
+        name = f"{Path(task['title']).name} {time.strftime('%H:%M:%S')}"
+        streams: list[Any] = []
+        if task["out"] is not None:
+            streams.append(_open(application, name, rr.FileSink(task["out"])))
+        if task["web"] is not None:
+            streams.append(rr.RecordingStream(application))
+            web.serve(streams[-1], tuple(task["web"]))
+            streams[-1].send_recording_name(name)
+        if task["spawn"]:
+            url = viewer.spawn_viewer(
+                "use --live-out FILE, or --live-connect where there is a screen"
+            )
+            streams.append(_open(application, name, rr.GrpcSink(url)))
+        if task["connect"] is not None:
+            viewer.require_viewer(task["connect"])
+            streams.append(_open(application, name, rr.GrpcSink(task["connect"])))
+        return Streams(streams)
+
+    def finish(self) -> bool:
+        """Send what is left, the file first; whether everything was taken in time."""
+        for stream in self.all:
+            try:
+                stream.flush(timeout_sec=_FLUSH_TIMEOUT_S)
+                stream.disconnect()
+            except (RuntimeError, ValueError) as error:
+                sys.stderr.write(f"{' '.join(str(error).split())}\n")
+                return False
+        return True
+
+
+def _open(application: str, name: str, sink: Any) -> Any:
+    stream = rr.RecordingStream(application)
+    stream.set_sinks(sink)
+    stream.send_recording_name(name)
+    return stream
