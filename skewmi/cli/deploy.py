@@ -10,8 +10,8 @@ SIGHUP.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -23,18 +23,16 @@ from rich.table import Table
 from skewmi import policies
 from skewmi.cli import numbers
 from skewmi.cli.interrupt import stop_on_signal
+from skewmi.cli.live_flags import live_options
 from skewmi.cli.robot_flags import RobotName
 from skewmi.cli.task_flags import variation_option
 from skewmi.contact import QUANTITIES
 from skewmi.deploy import run as deploy_run
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.policy import OnnxPolicy
-from skewmi.deploy.replay import viewer
-from skewmi.deploy.replay.live_options import LiveOptions
 from skewmi.deploy.report import DeployReport
 from skewmi.deploy.run_watch import RunWatch
 from skewmi.deploy.wire.domain import ros_domain
-from skewmi.extras import require
 from skewmi.outputs import check_output
 from skewmi.progress import LiveLine
 from skewmi.smoothness import LIMITS
@@ -110,7 +108,7 @@ def deploy_policy(options: DeployCommand) -> DeployReport:
     _check_outputs(options)
     watch = RunWatch()
     with stop_on_signal() as stop, LiveLine(watch.words) as line:
-        live = _live_options(options, line.note)
+        live = live_options(options.live, options.live_connect, options.live_out, line.note)
         return deploy_run.run_deploy(
             policy,
             DeployOptions(
@@ -128,7 +126,7 @@ def deploy_policy(options: DeployCommand) -> DeployReport:
                 dry_run=options.dry_run,
                 record=options.record,
                 overwrite=options.overwrite,
-                live=live if live != LiveOptions() else None,
+                live=live,
                 policy_name=str(options.policy),
                 robot_model_hash=policy.metadata["robot_model_hash"],
                 zenoh_config=options.zenoh_config,
@@ -138,21 +136,6 @@ def deploy_policy(options: DeployCommand) -> DeployReport:
             on_event=line.note,
             watch=watch,
         )
-
-
-def _live_options(options: DeployCommand, tell: Callable[[str], None]) -> LiveOptions:
-    """Where to show the run: in the browser, if there is no screen for a viewer."""
-    live = LiveOptions(options.live, options.live_connect, options.live_out)
-    if live != LiveOptions():
-        require("a live view", "rerun")
-    if not options.live or viewer.has_screen() or viewer.is_there():
-        return live
-    # Rerun takes a while to import; its process does so anyway.
-    from skewmi.deploy.replay import web
-
-    ports = web.free_ports()
-    tell(f"no screen here: open {web.address(ports)} in a browser, as long as the run lasts")
-    return replace(live, web_ports=ports)
 
 
 def _check_outputs(options: DeployCommand) -> None:

@@ -9,11 +9,16 @@ below are those of the --task, --preset, --learner and --exploration given with 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 
+from rich.console import Console
+
 from skewmi.cli.train_config import load_teacher, resolve
 from skewmi.cli.train_options import TrainCommand, default_options
+from skewmi.outputs import check_output
 from skewmi.policy_io import Policy
 from skewmi.sim import tasks
 from skewmi.train import run
@@ -83,13 +88,38 @@ def _learned(result: TrainResult) -> list[str]:
 
 def run_train(options: TrainCommand) -> int:
     """Train and print the result. Returns 0."""
-    result = train(
-        resolve(options),
-        options.run_dir,
-        resume=options.resume,
-        start_from=options.start_from,
-        teacher=load_teacher(options),
-        progress=not options.quiet,
-    )
+    config, teacher = resolve(options), load_teacher(options)
+    with _shown(options):
+        result = train(
+            config,
+            options.run_dir,
+            resume=options.resume,
+            start_from=options.start_from,
+            teacher=teacher,
+            progress=not options.quiet,
+        )
     print(json.dumps(asdict(result), indent=2) if options.json else as_text(result))
     return 0
+
+
+@contextmanager
+def _shown(options: TrainCommand) -> Iterator[None]:
+    """Show the training meanwhile, if asked to; what becomes of the view does not matter to it."""
+    if not (options.live or options.live_connect or options.live_out):
+        yield
+        return
+    from skewmi.cli.live_flags import live_options
+    from skewmi.cli.train_live import LiveTraining
+
+    console = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
+    if options.live_out is not None:
+        check_output(options.live_out, overwrite=options.overwrite)
+    live = live_options(options.live, options.live_connect, options.live_out, console.print)
+    assert live is not None
+    with LiveTraining.start(live, options.run_dir) as view:
+        try:
+            yield
+        finally:
+            note = view.close()
+            if note:
+                console.print(note)

@@ -96,6 +96,16 @@ class TrainCommand(Origin):
     """Threads of the tensor library and of the simulation; default: 1."""
     device: Literal["cpu", "cuda"] | None = None
     """Where the networks live; default: cpu."""
+    live: bool = False
+    """Open a Rerun viewer that shows the training while it goes on: visited states, proposed goals,
+    success and coverage. Without a screen it is served for a browser, and the address told. With
+    --resume it shows the past, too."""
+    live_connect: str | None = None
+    """The same in a Rerun viewer that runs somewhere, such as rerun+http://10.0.0.5:9876/proxy."""
+    live_out: Path | None = None
+    """The same into a Rerun file (.rrd), alone or besides; needs no screen."""
+    overwrite: bool = False
+    """Replace an existing file of --live-out; never a run."""
     json: bool = False
     """Print one JSON document on standard output at the end."""
     quiet: bool = False
