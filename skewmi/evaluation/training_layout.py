@@ -18,6 +18,8 @@ ORANGE, BLUE, GREEN = (255, 140, 30), (60, 160, 255), (90, 200, 120)
 GREY = (150, 150, 150)
 _DISPLAY = {"rad": ("deg", 180.0 / math.pi), "m": ("mm", 1e3)}
 """Units people read."""
+_LARGE_M = 2.0
+"""Beyond this, nobody counts in mm."""
 _HAND = ("hand_x", "hand_y", "hand_z")
 
 LEGEND = """\
@@ -68,6 +70,8 @@ class Plane:
 
 
 def _unit(field: Field) -> tuple[str, float]:
+    if field.unit == "m" and field.high - field.low > _LARGE_M:
+        return field.unit, 1.0
     return _DISPLAY.get(field.unit, (field.unit, 1.0))
 
 
@@ -105,8 +109,8 @@ def layout_of(facts: RunFacts, title: str, *, live: bool) -> Any:
         rrb.Horizontal(
             rrb.Vertical(*_pictures(facts, so_far), name=title),
             rrb.Vertical(
-                _curves("/success", "success [share, 1 = all]"),
-                _curves("/coverage", "coverage [share, 1 = all]"),
+                _curves("/success", "success [share, 1 = all]", share=True),
+                _curves("/coverage", "coverage [share, 1 = all]", share=True),
                 _curves("/entropy", "differential entropy of visited states [nats]"),
                 rrb.Horizontal(
                     rrb.TextLogView(
@@ -130,8 +134,9 @@ def layout_of(facts: RunFacts, title: str, *, live: bool) -> Any:
     )
 
 
-def _curves(origin: str, name: str) -> Any:
-    return rrb.TimeSeriesView(origin=origin, name=name)
+def _curves(origin: str, name: str, *, share: bool = False) -> Any:
+    axis = rrb.ScalarAxis(range=(-0.02, 1.05)) if share else None
+    return rrb.TimeSeriesView(origin=origin, name=name, axis_y=axis)
 
 
 def _pictures(facts: RunFacts, so_far: Any) -> list[Any]:

@@ -78,7 +78,7 @@ def _pose(content: Mapping[str, list[float]]) -> ScenePose:
 
 def encode_forces(forces: ContactForces) -> str:
     """Inverse of `decode_forces` but for rounding to 0.01 N and whole ms between the stamps."""
-    first_ns = int(forces.stamps_ns[0])
+    first_ns = int(forces.stamps_ns[0]) if len(forces.stamps_ns) else 0
     after_ms = (forces.stamps_ns - first_ns) // 1_000_000
     content = {
         "first_ns": first_ns,
