@@ -119,7 +119,12 @@ def test_package_imports_only_what_the_architecture_allows(package: str) -> None
 
 
 def test_only_pictures_of_runs_need_torch() -> None:
-    of_runs = ("skewmi.evaluation.figures", "skewmi.evaluation.learning")
+    of_runs = (
+        "skewmi.evaluation.figures",
+        "skewmi.evaluation.learning",
+        "skewmi.evaluation.training_layout",
+        "skewmi.evaluation.training_view",
+    )
     loaded = loaded_modules("skewmi.evaluation", of_runs)
     assert sorted(loaded & {"torch", "skewmi.train"}) == []
 

@@ -1,9 +1,10 @@
 """Turn a recording into a Rerun file, or show it in a viewer.
 
-The view has the robot and the scene moving, the commanded against the measured hand, every
-joint's position, velocity, acceleration and jerk against its limits, the hand in its workspace
-box, the policy's input and output, and the state machines' events. Recordings whose recorder
-was killed are shown as far as they go.
+The view has the robot and the scene moving, the hand in its workspace, every joint's position,
+velocity, acceleration and jerk against its limits, torques and contact forces, what success needs,
+the policy's input and output, lateness and cycle times, and the state machines' events; its legend
+says what is missing. Recordings whose recorder was killed are shown as far as they go. Of a
+training, given by its run directory, what `skewmi train --live` shows is drawn.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ class ReplayCommand:
     """Options of `skewmi replay`."""
 
     recording: Annotated[Path, tyro.conf.Positional]
-    """MCAP file written by `skewmi deploy --record`."""
+    """MCAP file written by `skewmi deploy --record`, or the run directory of a training."""
     out: Path | None = None
     """Rerun file to write; by default the recording's name with .rrd."""
     live: bool = False
@@ -40,6 +41,16 @@ def run_replay(options: ReplayCommand) -> int:
     """Write or show the replay. Returns 0."""
     if options.live and options.out is not None:
         raise ConfigurationError("give --live or --out, not both")
+    if options.recording.is_dir():
+        from skewmi.cli.train_replay import replay_training
+
+        return replay_training(
+            options.recording,
+            options.out,
+            live=options.live,
+            overwrite=options.overwrite,
+            as_json=options.json,
+        )
     # Late, because Rerun takes a while to import and wrong options should fail at once.
     from skewmi.deploy.replay.replay import show_replay, write_replay
 

@@ -22,7 +22,16 @@ from skewmi.train.blocks import block_name, split
 
 MOST_EPISODES = 400
 """That are read in one look: of a longer past, some from all of it."""
-_TORN = (OSError, ValueError, KeyError, TypeError, IndexError, SafetensorError, LayoutMismatchError)
+_TORN = (
+    OSError,
+    EOFError,
+    ValueError,
+    KeyError,
+    TypeError,
+    IndexError,
+    SafetensorError,
+    LayoutMismatchError,
+)
 """What reading raises where the training is replacing a file; the next look finds another."""
 
 

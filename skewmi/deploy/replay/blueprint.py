@@ -66,9 +66,9 @@ def blueprint(title: str, *, policy: bool, scene: Mapping[str, str], live: bool)
 def _events() -> Any:
     return rrb.TextLogView(
         origin="/events",
-        name="events: time, level, who, what",
+        name="events: time, level, who and what",
         columns=rrb.TextLogColumns(
-            timeline_columns=[TIMELINE], text_log_columns=["loglevel", "entitypath", "body"]
+            timeline_columns=[TIMELINE], text_log_columns=["loglevel", "body"]
         ),
     )
 
@@ -87,17 +87,23 @@ class _Tabs:
         return rrb.TimeSeriesView(
             origin=origin,
             name=name,
-            plot_legend=rrb.PlotLegend(visible=legend),
+            plot_legend=rrb.PlotLegend(visible=legend, corner="RightTop"),
             time_ranges=self._lately,
         )
 
     def overview(self, scene: Mapping[str, str]) -> Any:
         """What the task is about, and whether it is done gently."""
         return rrb.Vertical(
-            *(self._curves(f"/scene_joints/{name}", title) for name, title in scene.items()),
+            # One curve and what its title says: no legend needed.
+            *(
+                self._curves(f"/scene_joints/{name}", title, legend=False)
+                for name, title in scene.items()
+            ),
             self._curves("/hand/measured", "measured hand in world, and edges of workspace [mm]"),
-            self._curves("/hand/force", "contact force [N], largest of each 20 ms"),
-            self._curves("/hand/tilt", "hand tilt [deg]"),
+            self._curves(
+                "/hand/force", "contact force [N], largest of each 20 ms, gentle up to 100 N"
+            ),
+            self._curves("/hand/tilt", "hand tilt [deg], gentle up to 2 deg"),
             name="overview",
         )
 
@@ -123,15 +129,17 @@ class _Tabs:
                 for name in QUANTITIES
             ),
             row_shares=[3, 2, 2, 2],
-            name="joints against limits",
+            name="joints",
         )
 
     def forces(self) -> Any:
         """What the arm pushes with, and against."""
         return rrb.Vertical(
             self._curves("/joints/torque", "measured joint torque [N m]"),
-            self._curves("/hand/force", "contact force [N], largest of each 20 ms"),
-            name="torques and forces",
+            self._curves(
+                "/hand/force", "contact force [N], largest of each 20 ms, gentle up to 100 N"
+            ),
+            name="forces",
         )
 
     def policy(self) -> Any:
@@ -160,9 +168,12 @@ class _Tabs:
 
     def spectrum(self) -> Any:
         """At which frequencies the joints are accelerated."""
-        return rrb.BarChartView(
-            origin="/joints/spectrum",
-            name="commanded acceleration [% of its power per Hz; last bar: 30 Hz and more]",
+        return rrb.Vertical(
+            rrb.BarChartView(
+                origin="/joints/spectrum",
+                name="commanded acceleration [% of its power per Hz; last bar: 30 Hz and more]",
+            ),
+            name="frequencies",
         )
 
 

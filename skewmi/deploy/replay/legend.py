@@ -7,14 +7,13 @@ from skewmi.deploy.replay.timing import REGULAR
 
 _COLORS = """\
 **In 3D**
-- **orange**, transparent: the arm as commanded; orange line: way of the commanded hand
+- **orange** wires and line: the arm as commanded, way of its hand
 - **blue** line: way of the measured hand; the solid arm is the measured one
-- **green** box: the workspace, which the commanded hand (flange) may not leave
+- **green** box: the workspace, which the commanded hand may not leave
 
 **In curves**
-- **x red, y green, z blue**; darker lines of a color: edges of the workspace
-- one color for each joint; **grey**: limits and thresholds
-- times are seconds of the robot's clock
+- **x red, y green, z blue**, darker: edges of the workspace; each joint has its color
+- **orange** commanded, **blue** measured, **grey** limits and thresholds
 """
 
 

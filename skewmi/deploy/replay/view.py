@@ -102,12 +102,15 @@ class RunView:
         events: dict[str, list[tuple[float, str, str]]] = {}
         for time_s, status in run.events:
             refusal = status.values.get("refusal")
-            text = f"refused: {refusal}" if refusal else status.message
             who = _WHO.get(status.name, status.name or "unknown")
+            # The viewer's own column of entities is too narrow to read.
+            text = f"{who}: " + (f"refused: {refusal}" if refusal else status.message)
             level = _LEVELS.get(status.level, "ERROR")
             events.setdefault(who, []).append((time_s, text, level))
         for time_s in run.success_s:
-            events.setdefault("task", []).append((time_s, "success: reward region held", "INFO"))
+            events.setdefault("task", []).append(
+                (time_s, "task: success, reward region held", "INFO")
+            )
         for who, rows in events.items():
             finite = [row for row in sorted(rows) if math.isfinite(row[0])]
             if finite:

@@ -42,7 +42,8 @@ class ArmSimulation:
             configuration if not given. A reset always goes to the task's.
         variation: How robot and scene differ from the nominal ones: a variation file, a bundled
             name, or JSON. Its values are drawn at each reset from the seed of that reset.
-            Shapes for replays stay nominal, as does all that the robot is told.
+            Shapes for replays stay nominal, as does all that the session is told; where they
+            stand is told for pictures alone.
         feed_forward: Of the arm's servos, if they are known; the nominal ones' if not given.
 
     Attributes:
