@@ -61,7 +61,7 @@ class Plane:
         """Words at the ends of both axes, and where they stand."""
         first, second = self.fields
         return (
-            [(0.0, 5.0), (50.0, 9.0), (100.0, 5.0), (-9.0, 0.0), (-9.0, -50.0), (-9.0, -100.0)],
+            [(0.0, 5.0), (50.0, 9.0), (100.0, 5.0), (-7.0, 0.0), (0.0, -105.0), (-7.0, -100.0)],
             [
                 *(_ends(first)[0], f"{first.name} [{_unit(first)[0]}]", _ends(first)[1]),
                 *(_ends(second)[0], f"{second.name} [{_unit(second)[0]}]", _ends(second)[1]),
@@ -151,7 +151,7 @@ def _pictures(facts: RunFacts, so_far: Any) -> list[Any]:
                 name="visited positions of the hand",
                 overrides={"/hand/visited": [rrb.VisibleTimeRanges(so_far)]},
                 eye_controls=rrb.EyeControls3D(
-                    position=np.add(middle, (0.45, -0.45, 0.15)),
+                    position=np.add(middle, (0.26, -0.3, 0.1)),
                     look_target=middle,
                     eye_up=(0.0, 0.0, 1.0),
                 ),
@@ -162,7 +162,7 @@ def _pictures(facts: RunFacts, so_far: Any) -> list[Any]:
             origin=plane.path,
             name=f"visited states, {plane.name}",
             overrides={f"{plane.path}/visited": [rrb.VisibleTimeRanges(so_far)]},
-            visual_bounds=rrb.VisualBounds2D(x_range=(-22, 108), y_range=(-108, 16)),
+            visual_bounds=rrb.VisualBounds2D(x_range=(-22, 108), y_range=(-112, 16)),
         )
         for plane in planes_of(facts)
     ]

@@ -69,7 +69,13 @@ class TrainingView:
         workspace = facts.layout.workspace
         if self._hand is not None and workspace is not None:
             sizes = np.subtract(workspace.high, workspace.low)
-            box = rr.Boxes3D(mins=[workspace.low], sizes=[sizes], colors=[GREEN], radii=[0.001])
+            box = rr.Boxes3D(
+                mins=[workspace.low],
+                sizes=[sizes],
+                colors=[GREEN],
+                radii=[0.0005],
+                fill_mode="majorwireframe",
+            )
             recording.log("/hand/workspace", box, static=True)
 
     def draw(self, news: News) -> None:
