@@ -33,8 +33,8 @@ from skewmi.deploy.replay import viewer, web
 SIZE = (1600, 1000)
 LOADING_SIZE = (320, 200)
 """Data is taken in between two pictures: small ones are drawn sooner."""
-COLORS = 128
-"""Of the PNG, which keeps it small."""
+COLORS = 256
+"""Of the PNG, which keeps it small; with fewer, thin curves lose theirs."""
 CHROMIUM = (
     "chromium", "--headless=new", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader", "--disable-quic", "--no-first-run", "--hide-scrollbars",
