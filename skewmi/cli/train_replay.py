@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from skewmi.errors import CheckpointError
+from skewmi.extras import require
 from skewmi.outputs import check_output, written_aside
 
 APPLICATION = "skewmi_training"
@@ -46,6 +47,7 @@ def replay_training(
 
 def _draw(run_dir: Path, file: Path | None) -> dict[str, Any]:
     """Draw into a file, or in a viewer; how much there was."""
+    require("a replay", "rerun")
     # Late, because Rerun takes a while to import and wrong options should fail at once.
     import rerun as rr
 
