@@ -78,6 +78,7 @@ def begun_from(options: TrainCommand, config: TrainConfig) -> TrainConfig:
     return replace(
         config,
         started_from=origin,
+        taught_by="",  # it begins with what was learned, whoever taught that
         rewarded=not options.unrewarded,
         seed=options.seed or 0,
         device=options.device or "cpu",

@@ -40,6 +40,10 @@ def test_a_run_remembers_its_teacher_and_needs_it_until_it_is_over(
     assert main([*line, "--resume", "--steps", "1200", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert (result["steps"], result["taught_by"]) == (1200, config["taught_by"])
+    # A run that begins with this one is not taught again.
+    after = ["train", "--run-dir", str(tmp_path / "after"), "--start-from", str(folder)]
+    assert main([*after, "--steps", "1600", "--quiet"]) == 0
+    assert json.loads((tmp_path / "after" / "config.json").read_text())["config"]["taught_by"] == ""
 
 
 def test_another_teacher_is_refused(

@@ -52,7 +52,7 @@ def gathering_viewer(path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]
         stderr=subprocess.DEVNULL,
     )
     try:
-        deadline = time.monotonic() + 20.0
+        deadline = time.monotonic() + 60.0
         while True:
             with contextlib.suppress(OSError):
                 socket.create_connection(("127.0.0.1", port), 0.2).close()
