@@ -69,8 +69,8 @@ def prepare(folder: Path) -> None:
     """The files that pages speak of as the reader's own."""
     for name in ("robot.yaml", "my-robot.yaml", "mine.yaml"):
         (folder / name).write_text("servo: {kp_scale: 0.9, delay_ms: 10}\n")
-    for name in ("calibration.yaml", "cal.yaml"):
-        write_calibration(folder / name, exact_calibration(kp_scale=0.9, delay_ms=10.0))
+    write_calibration(folder / "calibration.yaml", exact_calibration(kp_scale=0.9, delay_ms=10.0))
+    write_calibration(folder / "cal.yaml", exact_calibration())  # of the nominal robot
     for name in ("robot", "commander"):
         (folder / name).symlink_to(Path("link") / name)
     (folder / "sweeps").symlink_to(ROOT / "sweeps")

@@ -184,7 +184,7 @@ def training_line(train: dict[str, Any]) -> str:
     how = (
         f"learned after {converged} trajectories"
         if converged is not None
-        else "not learned in this time; --resume goes on"
+        else "did not converge in this time; --resume goes on"
     )
     return (
         f"{metrics['trajectories']:.0f} trajectories in {train['seconds'] / 60:.1f} min; "

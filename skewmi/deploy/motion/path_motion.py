@@ -31,7 +31,7 @@ SHORTEST_STOP_S = 0.04
 _LADDER = 1.2
 """Ratio of one stop's time to the next shorter one that is tried."""
 HEADROOM = 0.98
-"""Part of each limit that stops use: jerk is looked at on the grid only."""
+"""Part of each limit that stops use."""
 _AT_ONCE = 256
 """Chunks that are worked out together: bounds the memory."""
 
@@ -94,12 +94,12 @@ class PathMotion:
         while undone.size and stop_s <= LONGEST_STOP_S:
             n = round(stop_s / GRID_S)
             for part in np.array_split(undone, -(-undone.size // _AT_ONCE)):
-                use = self._use(self._stops(splices[part], n))
+                use = self._use(splices[part], n)
                 ticks[part[use <= HEADROOM]] = n
             undone = undone[ticks[undone] == 0]
             stop_s *= _LADDER
         if undone.size:
-            use = self._use(self._stops(splices[undone[:1]], n))
+            use = self._use(splices[undone[:1]], n)
             raise LimitViolationError(
                 f"acceleration or jerk of a stop within {LONGEST_STOP_S:g} s, as part of its limit",
                 float(use[0]),
@@ -108,16 +108,30 @@ class PathMotion:
             )
         return ticks
 
-    def _use(self, stops: tuple[Array, Array, Array, Array]) -> Array:
-        """Largest part of a limit. Shape (k,)."""
-        limits = self._limits
-        parts = [
-            (np.abs(values) / bound).max(axis=(1, 2))
-            for values, bound in zip(
-                stops[1:], (limits.velocity, limits.acceleration, limits.jerk), strict=True
-            )
-        ]
-        use: Array = np.max(parts, axis=0)
+    def _use(self, rows: NDArray[np.int64], n: int) -> Array:
+        """Largest part of a limit that stops of n ticks use, from samples on. Shape (k,).
+
+        Of the derivatives at the samples, and of the differences between them, from the motion
+        before to the rest after: between samples a motion may be rougher than at them.
+        """
+        limits, h = self._limits, GRID_S
+        q, v, a, jerk = self._stops(rows, n)
+        before = self.trajectory.q[rows[:, None] + np.array([-2, -1])]
+        after = np.repeat(q[:, -1:], 3, axis=1)
+        steps = [np.diff(np.concatenate((before, q, after), axis=1), k, axis=1) for k in (1, 2, 3)]
+        v0, v1, a0, a1 = v[:, :-1], v[:, 1:], a[:, :-1], a[:, 1:]
+        dq, dv = np.diff(q, axis=1), v1 - v0
+        parts = (
+            *((limits.velocity, x) for x in (v, steps[0] / h)),
+            *((limits.acceleration, x) for x in (a, dv / h, steps[1] / h**2)),
+            *((limits.jerk, x) for x in (jerk, (a1 - a0) / h, np.diff(dv, axis=1) / h**2)),
+            (limits.jerk, steps[2] / h**3),
+            # What is left of a step when the derivatives at one of its ends have explained theirs.
+            *((limits.jerk, 2.0 * (dv - x * h) / h**2) for x in (a0, a1)),
+            (limits.jerk, 6.0 * (dq - v0 * h - a0 * h * h / 2.0) / h**3),
+            (limits.jerk, 6.0 * (dq - v1 * h + a1 * h * h / 2.0) / h**3),
+        )
+        use: Array = np.max([(np.abs(x) / bound).max(axis=(1, 2)) for bound, x in parts], axis=0)
         return use
 
     def _stops(self, rows: NDArray[np.int64], n: int) -> tuple[Array, Array, Array, Array]:

@@ -9,14 +9,17 @@ from hypothesis import strategies as st
 
 from skewmi.calibration.excitation import Excitation
 from skewmi.calibration.excitation_choice import excitation_centre
+from skewmi.deploy.motion.joint_path import JointPath, chebyshev_places
 from skewmi.deploy.motion.path_motion import PathMotion
 from skewmi.deploy.safety.limits import ChunkChecker, LimitUsage
 from skewmi.errors import ConfigurationError, LimitViolationError
-from skewmi.robot_models import limits
+from skewmi.robot_models import limits, yumi
 from skewmi.robot_models.kinematics import ArmKinematics
 from skewmi.trajectory import CYCLE_TICKS, GRID_S, Array, JointTrajectory, TrajectoryChunk
 
 FORWARD = ArmKinematics("right").forward
+SEEDS = (*range(25), 76, 101, 111, 152, 159, 162, 245, 350, 387, 416, 456, 527, 584)
+"""Some, and those whose stops once were rougher between the samples than at them."""
 
 
 def excitation(profile: str, seconds: float, seed: int) -> JointTrajectory:
@@ -47,6 +50,34 @@ def test_every_chunk_passes_the_checks_that_robot_servers_make(
     assert max(usage.as_dict().values()) <= 1.0
     # It is not slow for nothing either.
     assert usage.acceleration > 0.9
+
+
+def line_of_the_hand(seed: int) -> tuple[JointPath, float, float]:
+    """A straight line near the scene, a place on it to begin at, and a speed."""
+    generator = np.random.default_rng(seed)
+    arm, posture = ArmKinematics("right"), np.array(yumi.TABLE_CONFIGURATION)
+    middle, rotation = arm.forward(posture)
+    begin = middle + generator.uniform(-0.05, 0.05, 3)
+    end = middle + generator.uniform(-0.12, 0.12, 3)
+    length = float(np.linalg.norm(end - begin))
+    places = chebyshev_places(length, 10)
+    points = begin + np.outer(places / length, end - begin)
+    q = np.tile(posture, (len(points), 1))
+    found = arm.inverse(points, np.tile(rotation, (len(points), 1, 1)), q, posture=q)
+    assert found.position_error.max() < 1e-6
+    near_the_end = 1.0 - 10 ** generator.uniform(-4, -1)
+    part = generator.choice([0.0, generator.uniform(0.0, 0.98), near_the_end])
+    return JointPath.through(found.q, length), part * length, generator.uniform(0.005, 0.25)
+
+
+def test_lines_of_the_hand_from_anywhere_on_them_pass_those_checks() -> None:
+    """A way that was left late is taken up from where the arm came to rest."""
+    lab = limits.profile("lab")
+    for seed in SEEDS:
+        path, begin, speed = line_of_the_hand(seed)
+        trajectory = path.motion(begin, path.length, lab, speed, 0.13, path.at(begin))
+        usage = usage_of(PathMotion(trajectory, lab), "lab")
+        assert max(usage.as_dict().values()) <= 1.0, seed
 
 
 @settings(max_examples=20, deadline=None)
