@@ -45,6 +45,7 @@ LOOKED_AT_S = 30.0
 
 LEFT_OUT = (
     (r"--engine ray", "needs a Ray cluster; tests/sweep has one of two nodes"),
+    (r"figures runs/paper-reduced", "its sweep takes days; tests/sweep draws a small one"),
     (r"--backend own_robot", "its package has to be installed; tests/examples does that"),
     (
         r"runs/press|press\.onnx|press\.mcap",
