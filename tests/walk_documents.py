@@ -33,6 +33,7 @@ import result_document
 from test_documented_commands import PAGES, commands_of
 from unknown_robots import exact_calibration
 
+from skewmi import policies
 from skewmi.calibration.calibration_file import write_calibration
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -66,8 +67,10 @@ MAY_FAIL = ("deploy", "evaluate", "calibrate")
 ON_THE_SCREEN = ("play",)
 
 
-def prepare(folder: Path) -> None:
-    """The files that pages speak of as the reader's own."""
+def prepare(page: Path, folder: Path) -> None:
+    """The files that a page speaks of as the reader's own."""
+    if page.name == "security.md":  # which exports no policy before it deploys one
+        shutil.copy(policies.locate("open_press_close"), folder / "policy.onnx")
     for name in ("robot.yaml", "my-robot.yaml", "mine.yaml"):
         (folder / name).write_text("servo: {kp_scale: 0.9, delay_ms: 10}\n")
     write_calibration(folder / "calibration.yaml", exact_calibration(kp_scale=0.9, delay_ms=10.0))
@@ -125,7 +128,7 @@ def run(command: str, folder: Path) -> tuple[int, str]:
 
 def walk(page: Path, folder: Path) -> Iterator[dict[str, Any]]:
     """Run a page's commands in a folder."""
-    prepare(folder)
+    prepare(page, folder)
     serving = None
     for line in dict.fromkeys(commands_of(page)):
         command = line.removeprefix("skewmi ").strip()
