@@ -16,6 +16,7 @@ which no limit is broken. All stops are worked out before the arm moves.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import pi
 
 import numpy as np
@@ -94,37 +95,55 @@ class PathMotion:
         while undone.size and stop_s <= LONGEST_STOP_S:
             n = round(stop_s / GRID_S)
             for part in np.array_split(undone, -(-undone.size // _AT_ONCE)):
-                use = self._use(splices[part], n)
-                ticks[part[use <= HEADROOM]] = n
+                stops = self._stops(splices[part], n)
+                fits = np.flatnonzero(self._use(stops) <= HEADROOM)
+                # Dear, so for those alone that need no more time for another reason.
+                smooth = self._use_between(splices[part[fits]], [x[fits] for x in stops])
+                ticks[part[fits[smooth <= HEADROOM]]] = n
             undone = undone[ticks[undone] == 0]
             stop_s *= _LADDER
         if undone.size:
-            use = self._use(splices[undone[:1]], n)
+            stops = self._stops(splices[undone[:1]], n)
+            use = max(self._use(stops)[0], self._use_between(splices[undone[:1]], stops)[0])
             raise LimitViolationError(
                 f"acceleration or jerk of a stop within {LONGEST_STOP_S:g} s, as part of its limit",
-                float(use[0]),
+                float(use),
                 1.0,
                 f"at {splices[undone[0]] * GRID_S:.2f} s of the motion",
             )
         return ticks
 
-    def _use(self, rows: NDArray[np.int64], n: int) -> Array:
-        """Largest part of a limit that stops of n ticks use, from samples on. Shape (k,).
+    def _use(self, stops: Sequence[Array]) -> Array:
+        """Largest part of a limit that the derivatives at the samples use. Shape (k,)."""
+        limits = self._limits
+        bounds = (limits.velocity, limits.acceleration, limits.jerk)
+        parts = zip(stops[1:], bounds, strict=True)
+        use: Array = np.max([(np.abs(x) / bound).max(axis=(1, 2)) for x, bound in parts], axis=0)
+        return use
 
-        Of the derivatives at the samples, and of the differences between them, from the motion
-        before to the rest after: between samples a motion may be rougher than at them.
+    def _use_between(self, rows: NDArray[np.int64], stops: Sequence[Array]) -> Array:
+        """Largest part that the differences use, from the motion before to the rest after.
+
+        Between samples a motion may be rougher than at them: robot servers look at both.
+
+        Args:
+            rows: Samples that the stops begin from. Shape (k,).
+            stops: See `_stops`.
+
+        Returns:
+            Shape (k,).
         """
         limits, h = self._limits, GRID_S
-        q, v, a, jerk = self._stops(rows, n)
+        q, v, a, _ = stops
         before = self.trajectory.q[rows[:, None] + np.array([-2, -1])]
         after = np.repeat(q[:, -1:], 3, axis=1)
         steps = [np.diff(np.concatenate((before, q, after), axis=1), k, axis=1) for k in (1, 2, 3)]
         v0, v1, a0, a1 = v[:, :-1], v[:, 1:], a[:, :-1], a[:, 1:]
         dq, dv = np.diff(q, axis=1), v1 - v0
         parts = (
-            *((limits.velocity, x) for x in (v, steps[0] / h)),
-            *((limits.acceleration, x) for x in (a, dv / h, steps[1] / h**2)),
-            *((limits.jerk, x) for x in (jerk, (a1 - a0) / h, np.diff(dv, axis=1) / h**2)),
+            (limits.velocity, steps[0] / h),
+            *((limits.acceleration, x) for x in (dv / h, steps[1] / h**2)),
+            *((limits.jerk, x) for x in ((a1 - a0) / h, np.diff(dv, axis=1) / h**2)),
             (limits.jerk, steps[2] / h**3),
             # What is left of a step when the derivatives at one of its ends have explained theirs.
             *((limits.jerk, 2.0 * (dv - x * h) / h**2) for x in (a0, a1)),
