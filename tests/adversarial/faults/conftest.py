@@ -13,8 +13,10 @@ sys.path.insert(0, str(Path(__file__).parent))
 from fault_benches import Benches
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="module")
 def benches(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Benches]:
+    # Not "package": this folder is none to pytest, and the last bench, two busy robot servers,
+    # would run beside all tests that follow.
     lent = Benches(tmp_path_factory.mktemp("faults"))
     yield lent
     lent.close()
