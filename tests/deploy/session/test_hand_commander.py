@@ -11,9 +11,8 @@ from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.recording.reader import read_recording
 from skewmi.deploy.run import run_deploy
 from skewmi.deploy.wire import topics
-from skewmi.deploy.wire.messages import decode_chunk, decode_joint_states
+from skewmi.deploy.wire.controller_state import decode_controller_state
 from skewmi.policy_io import Array, PolicyLayout
-from skewmi.robot_models import frames, yumi
 from skewmi.robot_models.kinematics import ArmKinematics
 from skewmi.sim.arm import definition
 from skewmi.sim.tasks.open_press_close.definition import make_layout
@@ -39,28 +38,18 @@ class LeanOnTheLid:
         return np.array([0.0, 1.0, 0.0] if self.count <= STEPS_ASIDE else [0.0, 0.0, -1.0])
 
 
-def hands(path: Path) -> tuple[Array, Array]:
-    """Measured and commanded hand at each joint state of a recording, world, m. (n, 3) each."""
+def hands(path: Path) -> tuple[Array, Array, Array]:
+    """Times in s, (n,), and hands as measured and as the robot was told to have them, m, (n, 3).
+
+    Both are of one message of the robot: one that a busy computer loses leaves no false pair.
+    """
     recording, arm = read_recording(path), ArmKinematics("right")
-    commanded: dict[int, Array] = {}
-    for message in recording.messages[topics.YUMI_TRAJECTORY.name]:
-        chunk = decode_chunk(message.payload)
-        commanded.update(
-            zip(
-                (chunk.stamp_ns + chunk.time_from_start_ns).tolist(),
-                chunk.trajectory.q,
-                strict=True,
-            )
-        )
-    names = yumi.joint_names("right")
-    rows = []
-    for message in recording.messages[topics.YUMI_JOINT_STATES.name]:
-        state = decode_joint_states(message.payload)
-        if state.stamp_ns in commanded:
-            q = [state.position[state.names.index(name)] for name in names]
-            rows.append((np.array(q), commanded[state.stamp_ns]))
-    measured, wanted = (np.array(column) for column in zip(*rows, strict=True))
-    return tuple(arm.forward(q)[0] + frames.BASE_IN_WORLD for q in (measured, wanted))  # type: ignore[return-value]
+    payloads = recording.messages[topics.YUMI_CONTROLLER_STATE.name]
+    states = [decode_controller_state(message.payload) for message in payloads]
+    times = np.array([state.stamp_ns for state in states]) / 1e9
+    measured = np.array([state.position for state in states])
+    wanted = np.array([state.reference.q for state in states])
+    return times, arm.forward(measured)[0], arm.forward(wanted)[0]
 
 
 def test_the_following_error_of_a_deployed_hand_on_the_lid_is_that_of_a_blocked_one(
@@ -72,14 +61,14 @@ def test_the_following_error_of_a_deployed_hand_on_the_lid_is_that_of_a_blocked_
     options = DeployOptions(connect=lock_step_robot, lock_step=True, record=path, start_spread=0.0)
     report = run_deploy(LeanOnTheLid(layout), options)
     assert report.episodes[0].reason == "enough", report.as_dict()
-    measured, commanded = hands(path)
+    times, measured, commanded = hands(path)
     error = np.linalg.norm(commanded - measured, axis=1)
     # At 150 mm/s, 24 ms of chunks under way and the limits on braking: at most this, once.
-    contact = int(np.argmax(error > 5e-3))
+    contact_s = times[np.argmax(error > 5e-3)]
     assert error.max() < 0.024
     # A second later the command has come back to what it may be of a blocked hand, on average: a
     # policy that goes on pushing makes it swing, by the delay between command and contact.
-    standing = error[contact + 50 : contact + 350]
-    assert len(standing) == 300
+    standing = error[(times > contact_s + 1.0) & (times < contact_s + 7.0)]
+    assert len(standing) > 1000
     held = layout.workspace.held_following_error * definition.HAND_STEP
     assert 0.5 * held < standing.mean() < 2.5 * held

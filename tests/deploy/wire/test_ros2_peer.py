@@ -130,7 +130,8 @@ def check_stream(topic: str, node: str, samples: list[Message], tokens: list[str
     assert sequences[0] >= 1
     assert np.all(np.diff(sequences) >= 1), "a message twice, or out of order"
     assert sequences[-1] - sequences[0] < 1.1 * len(sequences), "one in ten was lost"
-    assert all(-1.0 < a["age_s"] < 60.0 for a in attachments)
+    # By wall clocks, which may be set meanwhile: that they are ns since 1970 is what matters.
+    assert all(abs(a["age_s"]) < 600.0 for a in attachments)
     # The gid is the hash of the publisher's token, as rmw_zenoh makes it.
     token = f"/MP/%/%/{node}/{topic.replace('/', '%')}/"
     own = [each.encode() for each in tokens if token in each]
@@ -195,11 +196,15 @@ def test_peer_serves_our_calls(peer: Peer) -> None:
         try:
             server.ask("serve", service="/elsewhere/trigger", message="Grüße")
             # A call that is made before the peer's service is known to the link is lost.
-            for _ in range(5):
+            replies: list[TriggerReply] = []
+
+            def answered() -> bool:
                 with contextlib.suppress(TransportError):
-                    reply = link.call(topics.Service("/elsewhere/trigger"), 6.0)
-                    break
-            assert reply == TriggerReply(True, "Grüße")
+                    replies.append(link.call(topics.Service("/elsewhere/trigger"), 6.0))
+                return bool(replies)
+
+            eventually(answered)
+            assert replies == [TriggerReply(True, "Grüße")]
         finally:
             server.close()
 
@@ -210,6 +215,7 @@ def test_peer_sees_and_decodes_everything_the_session_sends(locator: str, peer: 
         peer.subscribe(topic, type_name)
     name = sorted(policies.bundled())[0]
     command = [sys.executable, "-m", "skewmi.cli.main", "deploy", name, "--connect", locator]
+    command += ["--lead-ms", "100"]  # a busy computer plans slowly
     session = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     taken: dict[str, list[Message]] = {topic: [] for topic in SESSION_SENDS}
     graphs: list[Message] = []
@@ -226,7 +232,7 @@ def test_peer_sees_and_decodes_everything_the_session_sends(locator: str, peer: 
         return bool(graphs) and len(taken["/skewmi/policy_action"]) >= 5 and all(taken.values())
 
     try:
-        eventually(enough, 60.0)
+        eventually(enough, 120.0)
     finally:
         session.send_signal(signal.SIGINT)
         session.wait(30.0)
