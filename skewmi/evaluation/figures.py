@@ -132,7 +132,8 @@ def draw_coverage(
         if plane:
             axis.set_aspect("equal")
     figure.colorbar(points, ax=axes[0], label="trajectory", shrink=0.8)
-    legend = "; rewarded states lie inside orange" if any(outlined) else ""
+    meaning = "rewarded states" if config.rewarded else "states of the target, not rewarded here,"
+    legend = f"; {meaning} lie inside orange" if any(outlined) else ""
     figure.suptitle(
         f"{layout.task}: states visited in {len(states):,} trajectories{legend}", fontsize=11
     )
