@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import signal
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 from robot_servers import describe
+from scipy import signal as signals
 from scripted_runs import Scripted
 from sent_motion import assert_limits_kept, chunks_of
 
@@ -18,12 +20,14 @@ from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.recording.reader import read_recording
 from skewmi.deploy.robot.process import free_port
 from skewmi.deploy.run import run_deploy
+from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.messages import (
     decode_joint_states,
     decode_status,
 )
 from skewmi.errors import ConfigurationError, LayoutMismatchError, TransportError
 from skewmi.policy_io import Array
+from skewmi.trajectory import GRID_NS
 
 
 def test_scripted_motion_solves_the_task_within_all_limits(
@@ -53,6 +57,28 @@ def test_scripted_motion_solves_the_task_within_all_limits(
     statuses = [decode_status(m.payload) for m in recording.messages["/yumi/status"]]
     session = [s.values["state"] for s in statuses if s.name == "skewmi_deploy"]
     assert session[:4] == ["to start", "running", "success", "holding"]
+
+
+def test_smoothness_is_that_of_what_was_sent(lock_step_robot: str, tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    options = DeployOptions(seed=3, connect=lock_step_robot, lock_step=True, record=path)
+    (episode,) = run_deploy(Scripted(), options).episodes
+    acted = read_recording(path).messages[topics.POLICY_ACTION.name]
+    began_ns = min(decode_joint_states(message.payload).stamp_ns for message in acted)
+    chunks = [chunk for chunk in chunks_of(path) if chunk.stamp_ns >= began_ns]
+    parts = [
+        before.trajectory.a[: (after.stamp_ns - before.stamp_ns) // GRID_NS]
+        for before, after in pairwise(chunks)
+    ]
+    # The first still is of the way to the start, which has ended.
+    assert not parts.pop(0).any()
+    frequency, power = signals.periodogram(
+        np.concatenate(parts), 1e9 / GRID_NS, detrend=False, axis=0
+    )
+    for name, least in (("power_above_10_hz", 10.0), ("power_above_20_hz", 20.0)):
+        above = power[frequency > least].sum(0) / power.sum(0)
+        assert episode.smoothness[name] == pytest.approx(above.max(), rel=1e-6), name
+        assert above.max() > 1e-4, "the arm hardly moved: nothing is shown"
 
 
 def test_lock_step_runs_are_repeatable(lock_step_robot: str, tmp_path: Path) -> None:
