@@ -40,6 +40,9 @@ class Robot:
         if self._checks in self._says:
             raise self._says[self._checks]
 
+    def check_held(self, q: Array) -> None:
+        self._log.append("held")
+
     def wait_for_hold(self) -> Array:
         self._log.append("hold")
         return Q + 0.001
@@ -57,6 +60,10 @@ class Observer:
 
     def fresh_state(self) -> ArmState:
         return arm_state(1000)
+
+    def state_from_now(self) -> ArmState:
+        self._log.append("now")
+        return arm_state(0)
 
     def check_scene(self) -> None:
         self._log.append("scene")

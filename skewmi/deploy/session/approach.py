@@ -8,9 +8,8 @@ from skewmi.deploy.motion.start_motion import StartMotion
 from skewmi.deploy.safety.limits import TCP_SPEED_LIMIT
 from skewmi.deploy.session.arm_state import ArmState
 from skewmi.deploy.session.control_loop import ControlLoop
-from skewmi.deploy.session.refused import LateChunkError
+from skewmi.deploy.session.refused import OutOfStepError, given_up
 from skewmi.deploy.session.stream import ChunkStream
-from skewmi.deploy.session.timing import BUSY_ADVICE
 from skewmi.errors import CommandRefusedError
 from skewmi.policy_io import Array
 from skewmi.robot_models.limits import JointLimits
@@ -68,47 +67,41 @@ class Approach:
             CommandRefusedError: The arm did not arrive.
             SkewmiError: Whatever else ends a motion.
         """
-        way = _Way(q_goal, self._limits, self._flange_speed, self._stream)
+        last: OutOfStepError | None = None
         for _ in range(START_ATTEMPTS):
+            motion = StartMotion(q, q_goal, self._limits, flange_speed=self._flange_speed)
+            way, last = _Way(motion, q_goal, self._stream), None
             try:
                 state = self._loop.run(way, q, state)
                 if not way.late:
                     _check_arrived(state.q, q_goal, self._reached)
                     return state
                 q, state = self._loop.coast(state)
-            except LateChunkError:
-                q, state = self._loop.recover()
-        raise CommandRefusedError(f"{START_ATTEMPTS} start motions came too late; {BUSY_ADVICE}")
+            except OutOfStepError as error:
+                last = error
+                q, state = self._loop.recover(error)
+        raise given_up("start motions", START_ATTEMPTS, last)
 
 
 class _Way:
-    """A motion for the control loop; each `begin` is a new attempt from where the arm then rests.
+    """A `StartMotion` for the control loop.
 
     Args:
+        motion: From where the arm rests.
         q_goal: Where to go, rad. Shape (7,).
-        limits: To keep.
-        flange_speed: Likewise, m/s.
         stream: Knows when the arm rests.
     """
 
-    def __init__(
-        self, q_goal: Array, limits: JointLimits, flange_speed: float, stream: ChunkStream
-    ) -> None:
+    def __init__(self, motion: StartMotion, q_goal: Array, stream: ChunkStream) -> None:
+        self._motion = motion
         self._q_goal = q_goal
-        self._limits = limits
-        self._flange_speed = flange_speed
         self._stream = stream
         self.late = False
         """Whether the attempt was given up because a chunk would have been late."""
 
     def begin(self, q: Array, state: ArmState) -> None:
-        """See `Motion`.
-
-        Raises:
-            LimitViolationError: The way breaks a limit.
-        """
-        del state
-        self._motion = StartMotion(q, self._q_goal, self._limits, flange_speed=self._flange_speed)
+        """See `Motion`: from its beginning."""
+        del q, state
         self._cycle, self._rest_ns, self.late = 0, _NEVER_NS, False
 
     def is_over(self, state: ArmState) -> bool:
@@ -122,7 +115,7 @@ class _Way:
     def next_chunk(self, state: ArmState, splice: int) -> JointTrajectory | None:
         """The next part of the motion."""
         del state
-        if splice != CYCLE_TICKS:
+        if splice != CYCLE_TICKS and self._cycle > 0:
             # Braking has begun: this motion cannot be taken up again, another one can.
             self.late = True
             return None

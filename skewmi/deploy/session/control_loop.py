@@ -8,6 +8,7 @@ from typing import Protocol
 from skewmi.deploy.session.arm_state import ArmState
 from skewmi.deploy.session.interrupt import check_interrupt
 from skewmi.deploy.session.observer import Observer
+from skewmi.deploy.session.refused import LateChunkError, OutOfStepError
 from skewmi.deploy.session.robot_client import RobotClient
 from skewmi.deploy.session.status import SessionStatus
 from skewmi.deploy.session.stream import ChunkStream
@@ -21,6 +22,9 @@ class Motion(Protocol):
 
     def begin(self, q: Array, state: ArmState) -> None:
         """Begin, or go on with, the motion where the arm rests.
+
+        The first chunk answers this state: what takes long, such as planning a way, is done before
+        the motion is given to the loop.
 
         Args:
             q: Where the robot server holds the arm, rad. Shape (7,).
@@ -83,15 +87,21 @@ class ControlLoop:
         Args:
             motion: What to do.
             q: Where the robot server holds the arm, rad. Shape (7,).
-            state: The newest state.
+            state: The newest state that is known; how old it is does not matter.
 
         Returns:
             The newest state; what was sent last is still followed to its end.
 
         Raises:
             LateChunkError: The robot server refused a chunk for being late; see `recover`.
+            ReferenceMovedError: The arm is not held at `q`, and nothing was sent; see `recover`.
             SkewmiError: Whatever else ends a motion; nothing has been sent since.
         """
+        if not self._lock_step:
+            # Time has gone on while the motion was planned: it must not be taken from the lead.
+            self._robot.check_held(q)
+            state = self._observer.state_from_now()
+            self._status.clock_ns = state.stamp_ns
         motion.begin(q, state)
         self._stream.begin(q, state.stamp_ns)
         while not motion.is_over(state):
@@ -127,8 +137,11 @@ class ControlLoop:
             state = self._read()
         return sent.trajectory.q[-1], state
 
-    def recover(self) -> tuple[Array, ArmState]:
-        """Wait, armed, until the arm rests after a chunk that was too late.
+    def recover(self, error: OutOfStepError) -> tuple[Array, ArmState]:
+        """Wait, armed, until the arm rests after a motion that was out of step.
+
+        Args:
+            error: That ended it; a chunk that was late counts as a missed cycle.
 
         Returns:
             Where the robot server holds it, rad, and the newest state.
@@ -137,7 +150,8 @@ class ControlLoop:
             SkewmiError: It does not come to rest, or somebody has asked to stop.
         """
         q = self._robot.wait_for_hold()
-        self._stream.missed_cycles += 1
+        if isinstance(error, LateChunkError):
+            self._stream.missed_cycles += 1
         state = self._observer.fresh_state()
         check_interrupt(self._stop)
         return q, state

@@ -18,7 +18,7 @@ from skewmi.deploy.session.control_loop import ControlLoop
 from skewmi.deploy.session.interrupt import StopRequestedError
 from skewmi.deploy.session.policy_motion import PolicyMotion
 from skewmi.deploy.session.preflight import Preflight
-from skewmi.deploy.session.refused import LateChunkError
+from skewmi.deploy.session.refused import LateChunkError, OutOfStepError
 from skewmi.deploy.session.robot_client import RobotClient
 from skewmi.deploy.session.states import SessionEvent, SessionState
 from skewmi.deploy.session.status import SessionStatus
@@ -167,11 +167,13 @@ class EpisodeRunner:
         while True:
             try:
                 self._loop.run(self._policy, q, state)
-            except LateChunkError as error:
+            except OutOfStepError as error:
                 recoveries += 1
                 if recoveries > RECOVERIES:
-                    raise LateChunkError(f"{error}; {BUSY_ADVICE}") from error
-                q, state = self._loop.recover()
+                    if isinstance(error, LateChunkError):
+                        raise LateChunkError(f"{error}; {BUSY_ADVICE}") from error
+                    raise
+                q, state = self._loop.recover(error)
             else:
                 return
 

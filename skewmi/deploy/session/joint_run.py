@@ -21,13 +21,11 @@ from skewmi.deploy.session.control_loop import ControlLoop
 from skewmi.deploy.session.interrupt import check_interrupt
 from skewmi.deploy.session.observer import Observer
 from skewmi.deploy.session.readiness import wait_until_ready
-from skewmi.deploy.session.refused import LateChunkError
+from skewmi.deploy.session.refused import OutOfStepError, given_up
 from skewmi.deploy.session.robot_client import RobotClient
 from skewmi.deploy.session.states import SessionEvent
 from skewmi.deploy.session.status import SessionStatus
 from skewmi.deploy.session.stream import ChunkStream
-from skewmi.deploy.session.timing import BUSY_ADVICE
-from skewmi.errors import CommandRefusedError
 from skewmi.policy_io import Array
 from skewmi.robot_models.limits import JointLimits
 from skewmi.trajectory import CYCLE_TICKS, JointPoint, JointTrajectory
@@ -107,11 +105,13 @@ class JointRun:
         # Looked at before arming: who holds an arm must not be silent for as long as that takes.
         motion = PathMotion(trajectory, self._limits)
         self._check(trajectory)
-        self._check_way(self._resting(), trajectory.q[0])
+        q_seen = self._resting()
+        self._check_way(q_seen, trajectory.q[0])
         self._robot.arm(workspace=self._workspace)
         q_before = self._resting()
         # Nobody can have moved the arm by more than a little meanwhile.
-        self._check_way(q_before, trajectory.q[0])
+        if (q_before != q_seen).any():
+            self._check_way(q_before, trajectory.q[0])
         self._status.fire(SessionEvent.READY, "the whole motion is free")
         state = self._observer.fresh_state()
         self._tell("moving to where the motion begins")
@@ -156,19 +156,23 @@ class JointRun:
         """
         way = KnownMotion(motion, self._stream)
         q = motion.trajectory.q[0]
+        last: OutOfStepError | None = None
         for attempt in range(ATTEMPTS):
             if attempt:
-                self._tell("a chunk came too late: the motion begins anew")
+                why = "a chunk came too late" if last is None else str(last)
+                self._tell(f"{why}: the motion begins anew")
                 state = self._approach.run(motion.trajectory.q[0], q, state)
                 q = motion.trajectory.q[0]
+            last = None
             try:
                 state = self._loop.run(way, q, state)
                 if not way.late:
                     return state
                 q, state = self._loop.coast(state)
-            except LateChunkError:
-                q, state = self._loop.recover()
-        raise CommandRefusedError(f"{ATTEMPTS} motions came too late; {BUSY_ADVICE}")
+            except OutOfStepError as error:
+                last = error
+                q, state = self._loop.recover(error)
+        raise given_up("motions", ATTEMPTS, last)
 
 
 class KnownMotion:
@@ -202,7 +206,7 @@ class KnownMotion:
     def next_chunk(self, state: ArmState, splice: int) -> JointTrajectory | None:
         """The next part of the motion."""
         del state
-        if splice != CYCLE_TICKS:
+        if splice != CYCLE_TICKS and self._cycle > 0:
             # The stop has begun: it is on the path, but the motion's time has gone on without it.
             self.late = True
             return None

@@ -191,6 +191,21 @@ class Observer:
         self.check_scene()
         return state
 
+    def state_from_now(self) -> ArmState:
+        """Drop the joint states that have come, and wait for the next one.
+
+        What took a while, such as planning, has made the newest known state as much older; a motion
+        whose time counts from that state would have lost this time before its first chunk. What
+        is known of the scene stays. Not for lock-step, where every state waits for its answer.
+
+        Raises:
+            StaleStateError: None comes.
+            TransportError: It is malformed.
+        """
+        self._joints.drain()
+        self._queue.clear()
+        return self._first_state()
+
     def forget(self) -> None:
         """Drop whatever has been received: what comes next is newer than this call."""
         self._joints.drain()

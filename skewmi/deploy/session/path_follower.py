@@ -11,11 +11,10 @@ from skewmi.deploy.session.control_loop import ControlLoop
 from skewmi.deploy.session.guarded_motion import HoldStill
 from skewmi.deploy.session.joint_run import KnownMotion
 from skewmi.deploy.session.observer import Observer
-from skewmi.deploy.session.refused import LateChunkError
+from skewmi.deploy.session.refused import OutOfStepError, given_up
 from skewmi.deploy.session.robot_client import RobotClient
 from skewmi.deploy.session.status import SessionStatus
 from skewmi.deploy.session.stream import ChunkStream
-from skewmi.deploy.session.timing import BUSY_ADVICE
 from skewmi.deploy.session.touch_plan import SwitchedChecks
 from skewmi.errors import CommandRefusedError
 from skewmi.policy_io import Array
@@ -25,6 +24,8 @@ ATTEMPTS = 20
 """How often a motion is taken up again where it stopped because a chunk came too late."""
 RESTED_NS = 60_000_000
 """After what the robot server knows that the arm rests, ns: several equal samples."""
+OFF_PATH = 1e-3
+"""Largest joint distance from a path to where the arm rests when a motion along it begins, rad."""
 SPEED_SHARE = 0.95
 """Part of a workspace's speed that is used."""
 _AT_ONCE, _EVERY = 40, 4
@@ -106,28 +107,29 @@ class PathFollower:
             CommandRefusedError: It came too late `ATTEMPTS` times.
             SkewmiError: Whatever else ends a motion; nothing has been sent since.
         """
+        last: OutOfStepError | None = None
         for attempt in range(ATTEMPTS):
             s = s if not attempt else path.nearest(self.q)
             motion = self.motion(path, s, s_end, None)
-            way = KnownMotion(motion, self._stream)
+            way, last = KnownMotion(motion, self._stream), None
             try:
                 state = self._loop.run(way, self.q, state)
                 if not way.late:
                     self.q = motion.trajectory.q[-1]
                     return state
                 state = self.coast(state)
-            except LateChunkError:
-                state = self.recover()
-        raise CommandRefusedError(f"{ATTEMPTS} motions came too late; {BUSY_ADVICE}")
+            except OutOfStepError as error:
+                last, state = error, self.recover(error)
+        raise given_up("motions", ATTEMPTS, last)
 
     def coast(self, state: ArmState) -> ArmState:
         """Let the arm follow what was sent to its end; see `ControlLoop.coast`."""
         self.q, state = self._loop.coast(state)
         return state
 
-    def recover(self) -> ArmState:
-        """Wait until the arm rests after a chunk that was too late; see `ControlLoop.recover`."""
-        self.q, state = self._loop.recover()
+    def recover(self, error: OutOfStepError) -> ArmState:
+        """Wait until the arm rests after a motion out of step; see `ControlLoop.recover`."""
+        self.q, state = self._loop.recover(error)
         return state
 
     def look_at(self, path: JointPath, workspace: str) -> None:
@@ -154,7 +156,16 @@ class PathFollower:
         Args:
             path, s, s_end: See `move`.
             speed: Of flange and finger tips, m/s, if it is to be less.
+
+        Raises:
+            CommandRefusedError: The arm rests beside the path, which alone was looked at.
         """
+        off = float(np.abs(path.at(s) - self.q).max())
+        if off > OFF_PATH:
+            raise CommandRefusedError(
+                f"the arm rests {off:.3f} rad from the way that was planned; at most {OFF_PATH} "
+                "rad are allowed: somebody has moved it; start again"
+            )
         fastest = SPEED_SHARE * self._checks.speeds[self._checks.now]
         chosen = fastest if speed is None else min(speed, fastest)
         trajectory = path.motion(s, s_end, self._limits, chosen, self._tool_z, self.q)

@@ -3,11 +3,36 @@
 from __future__ import annotations
 
 from skewmi.deploy.robot.status import RobotStatus
+from skewmi.deploy.session.timing import BUSY_ADVICE
 from skewmi.errors import CommandRefusedError
 
 
-class LateChunkError(CommandRefusedError):
+class OutOfStepError(CommandRefusedError):
+    """Session and robot server do not agree on where the arm's motion is; nothing else is wrong.
+
+    A motion may be planned anew from where the arm comes to rest; see `ControlLoop.recover`.
+    """
+
+
+class LateChunkError(OutOfStepError):
     """The robot server refused a chunk for coming too late or after a lost one; the arm brakes."""
+
+
+class ReferenceMovedError(OutOfStepError):
+    """The arm is not held any more where a motion was planned from; nothing of it was sent."""
+
+
+def given_up(what: str, attempts: int, last: OutOfStepError | None) -> CommandRefusedError:
+    """The error of motions that were begun often enough.
+
+    Args:
+        what: Their name, such as "start motions".
+        attempts: How many there were.
+        last: What ended the last one; None if a chunk would have come too late.
+    """
+    if isinstance(last, ReferenceMovedError):
+        return CommandRefusedError(f"{attempts} {what} were planned for nothing; the last: {last}")
+    return CommandRefusedError(f"{attempts} {what} came too late; {BUSY_ADVICE}")
 
 
 class RefusedCommands:

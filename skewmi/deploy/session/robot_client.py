@@ -11,9 +11,14 @@ from skewmi.deploy.robot.description import SCENE_REQUEST, RobotDescription
 from skewmi.deploy.robot.states import ServerState
 from skewmi.deploy.robot.status import RobotStatus
 from skewmi.deploy.safety.flange_space import TASK
+from skewmi.deploy.safety.limits import SPLICE_TOLERANCE
 from skewmi.deploy.session.arm_delay import ArmDelay
 from skewmi.deploy.session.interrupt import StopRequestedError
-from skewmi.deploy.session.refused import LateChunkError, RefusedCommands
+from skewmi.deploy.session.refused import (
+    LateChunkError,
+    ReferenceMovedError,
+    RefusedCommands,
+)
 from skewmi.deploy.session.trust import Trust
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.arm_request import ArmRequest
@@ -152,6 +157,29 @@ class RobotClient:
             if status.state in _ENDING:
                 raise StopRequestedError(f"the robot server is {status.message}")
             self._refused.check(status, late_is_final=late_is_final)
+
+    def check_held(self, q: Array) -> None:
+        """See that the robot server holds the arm where a motion was planned from.
+
+        An arm at rest is held there for as long as nobody commands it, however long planning took.
+
+        Args:
+            q: Where it was held then, rad. Shape (7,).
+
+        Raises:
+            ReferenceMovedError: It holds it somewhere else now.
+            TransportError: It does not answer.
+        """
+        if self._dry_run:
+            return
+        held = np.array(self._ask().commanded_position)
+        off = float(np.abs(held - q).max()) if held.shape == q.shape else float("inf")
+        if off > SPLICE_TOLERANCE[0]:
+            raise ReferenceMovedError(
+                f"the robot server holds the arm {off:.3g} rad from where the motion was planned "
+                f"to begin; at most {SPLICE_TOLERANCE[0]:g} rad are allowed: does anybody else "
+                "move it?"
+            )
 
     def confirm_senders(self) -> None:
         """Look once more whether anybody sends in the robot server's name.

@@ -22,12 +22,11 @@ from skewmi.deploy.session.interrupt import check_interrupt
 from skewmi.deploy.session.observer import Observer
 from skewmi.deploy.session.path_follower import ATTEMPTS, PathFollower
 from skewmi.deploy.session.readiness import wait_until_ready
-from skewmi.deploy.session.refused import LateChunkError
+from skewmi.deploy.session.refused import OutOfStepError, given_up
 from skewmi.deploy.session.robot_client import RobotClient
 from skewmi.deploy.session.states import SessionEvent
 from skewmi.deploy.session.status import SessionStatus
 from skewmi.deploy.session.stream import ChunkStream
-from skewmi.deploy.session.timing import BUSY_ADVICE
 from skewmi.deploy.session.touch_plan import (
     PlannedTouch,
     SwitchedChecks,
@@ -110,7 +109,10 @@ class TouchRun:
         before = self._way.take_place()
         self._look_at(touches, before)
         state = self._way.enter(self._settings.above)
-        self._look_at(touches[:1], self._way.take_place())
+        now = self._way.take_place()
+        if (now != before).any():
+            # Not for nothing: who holds an arm must not be silent for as long as that takes.
+            self._look_at(touches[:1], now)
         self._status.fire(SessionEvent.READY, "every way is free")
         self._robot.open_gripper(self._settings.opening, state.stamp_ns)
         state = self._loop.run(HoldStill(self._stream, CLOSING_NS), self._way.q, state)
@@ -157,7 +159,9 @@ class TouchRun:
     ) -> tuple[ArmState, GuardedMotion]:
         """Follow a path until something is met."""
         s = 0.0
+        last: OutOfStepError | None = None
         for attempt in range(ATTEMPTS):
+            last = None
             s = s if not attempt else path.nearest(self._way.q)
             motion = self._way.motion(path, s, path.length, speed)
             guarded = GuardedMotion(
@@ -170,11 +174,11 @@ class TouchRun:
                     self._way.q = self._stream.sent.trajectory.q[-1]
                     return state, guarded
                 state = self._way.coast(state)
-            except LateChunkError:
-                state = self._way.recover()
+            except OutOfStepError as error:
+                last, state = error, self._way.recover(error)
             finally:
                 self.largest_force = max(self.largest_force, guarded.peak_force)
-        raise CommandRefusedError(f"{ATTEMPTS} motions came too late; {BUSY_ADVICE}")
+        raise given_up("motions", ATTEMPTS, last)
 
     def _look_at(self, touches: Sequence[PlannedTouch], before: Array) -> None:
         """Look at every path before any of it is followed.

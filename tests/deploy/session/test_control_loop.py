@@ -8,6 +8,7 @@ from loop_bench import Bench, Q, arm_state
 
 from skewmi.deploy.session.arm_state import ArmState
 from skewmi.deploy.session.interrupt import StopRequestedError
+from skewmi.deploy.session.refused import LateChunkError, ReferenceMovedError
 from skewmi.errors import CommandRefusedError, LimitViolationError
 from skewmi.trajectory import CYCLE_NS, CYCLE_TICKS, Array, JointTrajectory
 
@@ -78,7 +79,8 @@ def test_a_repeated_state_is_a_reason_to_ask_and_nothing_else() -> None:
     bench = Bench([None, None, arm_state(1)], lock_step=False)
     bench.loop.run(Counted(bench.log, 1), Q, arm_state(0))
     ask = ["read", "check, late is final"]
-    assert bench.log == ["begin", *CYCLE[:4], *ask, *ask, "read", "check", "scene", "decide"]
+    begin = ["held", "now", "begin"]
+    assert bench.log == [*begin, *CYCLE[:4], *ask, *ask, "read", "check", "scene", "decide"]
 
 
 def test_what_a_check_refuses_is_not_written() -> None:
@@ -94,10 +96,12 @@ def test_what_a_check_refuses_is_not_written() -> None:
 
 def test_recovery_waits_for_rest_and_counts_the_cycle() -> None:
     bench = Bench()
-    q, state = bench.loop.recover()
+    q, state = bench.loop.recover(LateChunkError("late"))
     np.testing.assert_array_equal(q, Q + 0.001)
     assert state.stamp_ns == arm_state(1000).stamp_ns
     assert bench.stream.missed_cycles == 1
+    bench.loop.recover(ReferenceMovedError("moved"))
+    assert bench.stream.missed_cycles == 1, "nothing was late"
     bench.stop.set()
     with pytest.raises(StopRequestedError):
-        bench.loop.recover()
+        bench.loop.recover(LateChunkError("late"))
