@@ -46,7 +46,7 @@ ROOMS: dict[str, set[str]] = {
         "deploy.options",
         "deploy.report",
     },
-    "recording": {"child", "outputs", "deploy.wire"},
+    "recording": {"child", "child_process", "outputs", "deploy.wire"},
     "replay": {
         "contact",
         "policy_io",
@@ -54,6 +54,7 @@ ROOMS: dict[str, set[str]] = {
         "smoothness",
         "robot_models",
         "child",
+        "child_process",
         "outputs",
         "privacy",
         "deploy.wire",

@@ -17,6 +17,7 @@ import time
 from pathlib import Path
 
 from skewmi.child import tell_parent
+from skewmi.deploy.replay.live_child import come_last, failed
 from skewmi.deploy.replay.streams import Streams
 from skewmi.errors import SkewmiError
 from skewmi.evaluation.training_view import TrainingView
@@ -26,8 +27,6 @@ APPLICATION = "skewmi_training"
 
 PERIOD_S = 0.5
 """Between two looks into the directory."""
-_NICENESS = 10
-"""Drawing waits for the training."""
 _GIVE_UP_S = 8.0
 """After the owner's end: a viewer that takes nothing fills Rerun's buffers, and drawing waits."""
 
@@ -63,8 +62,7 @@ class Drawer:
 
 def main() -> int:
     """Draw until standard input ends. Returns the exit code; failures go to stderr."""
-    with contextlib.suppress(OSError):
-        os.nice(_NICENESS)
+    come_last()
     ended = threading.Event()
     task = json.loads(sys.stdin.buffer.readline() or b"{}")
 
@@ -78,8 +76,7 @@ def main() -> int:
     try:
         streams = Streams.open(task, APPLICATION)
     except (SkewmiError, OSError, RuntimeError, KeyError) as error:
-        sys.stderr.write(f"{' '.join(str(error).split())}\n")
-        return 1
+        return failed(error)
     threading.Thread(target=wait_for_end, daemon=True).start()
     with contextlib.suppress(OSError):
         tell_parent(ready=True)

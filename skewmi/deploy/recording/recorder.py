@@ -17,8 +17,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from skewmi.child_process import ChildStartError
 from skewmi.deploy.recording.listener import strangers_told
-from skewmi.deploy.recording.listener_process import ListenerProcess, ListenerStartError
+from skewmi.deploy.recording.listener_process import ListenerProcess
 from skewmi.deploy.recording.reader import METADATA_NAME
 from skewmi.deploy.wire.senders import Stranger
 from skewmi.deploy.wire.transport import TransportConfig
@@ -90,7 +91,7 @@ class Recorder:
                 config,
                 {"path": str(path), "believed": believed},
             )
-        except ListenerStartError as error:
+        except ChildStartError as error:
             raise TransportError(f"cannot record to {path}: {error}") from error
         recorder = cls(path, listener)
         if metadata:

@@ -7,21 +7,19 @@ slow those who send. A viewer that dies or hangs takes part of the picture with 
 
 from __future__ import annotations
 
-import contextlib
 import os
 import select
 import threading
 from collections.abc import Mapping, Sequence
-from types import TracebackType
 from typing import Self
 
 from skewmi.child import told
 from skewmi.deploy.recording.listener import strangers_told
-from skewmi.deploy.recording.listener_process import ListenerProcess, ListenerStartError
+from skewmi.deploy.recording.listener_process import ListenerProcess
+from skewmi.deploy.replay.live_child import HUNG, DrawnByChild, places, starting
 from skewmi.deploy.replay.live_options import LiveOptions
 from skewmi.deploy.wire.senders import Stranger
 from skewmi.deploy.wire.transport import TransportConfig
-from skewmi.errors import ConfigurationError
 
 _STUCK_S = 5.0
 """Without a sign of life for so long, the process is killed; it gives one every second."""
@@ -32,7 +30,7 @@ _KEPT_BYTES = 65_536
 """Of what the process has said last: its last words name strangers, a bounded number."""
 
 
-class LiveView:
+class LiveView(DrawnByChild[ListenerProcess]):
     """A live view of all topics of a link; a context manager that ends it; `start` makes one.
 
     Args:
@@ -40,7 +38,7 @@ class LiveView:
     """
 
     def __init__(self, listener: ListenerProcess) -> None:
-        self._listener = listener
+        super().__init__(listener)
         self._said = b""
         self._stuck = False
         self._notes: list[str] | None = None
@@ -72,16 +70,10 @@ class LiveView:
         task = {
             "believed": believed,
             "metadata": dict(metadata),
-            "title": title,
-            "spawn": options.spawn and options.web_ports is None,
-            "web": options.web_ports,
-            "connect": options.connect,
-            "out": None if options.out is None else str(options.out),
+            **places(options, title),
         }
-        try:
+        with starting():
             listener = ListenerProcess.start("skewmi.deploy.replay.live_process", config, task)
-        except ListenerStartError as error:
-            raise ConfigurationError(f"no live view: {error}") from error
         view = cls(listener)
         view._watcher.start()
         return view
@@ -89,18 +81,16 @@ class LiveView:
     @property
     def pid(self) -> int:
         """Of the process."""
-        return self._listener.process.pid
+        return self._child.process.pid
 
     def believe(self, believed: Mapping[str, Sequence[str]]) -> None:
         """Show the messages of these senders from now on, and nobody else's; see `start`."""
-        self._listener.write({"believed": believed})
+        self._child.write({"believed": believed})
 
     def close(self) -> list[str]:
         """End the view; what it lacks. Safe to call twice; neither raises nor waits for long."""
         if self._notes is None:
-            assert self._listener.process.stdin is not None
-            with contextlib.suppress(OSError):
-                self._listener.process.stdin.close()
+            self._child.let_finish()
             self._watcher.join(_CLOSE_TIMEOUT_S)
             if self._watcher.is_alive():
                 self._kill()
@@ -108,21 +98,10 @@ class LiveView:
             self._notes = self._judge()
         return self._notes
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
-
     def _watch(self) -> None:
         """Read what the process says until it ends; kill it if it says nothing."""
-        assert self._listener.process.stdout is not None
-        said = self._listener.process.stdout.fileno()
+        assert self._child.process.stdout is not None
+        said = self._child.process.stdout.fileno()
         while True:
             ready, _, _ = select.select([said], [], [], _STUCK_S)
             if not ready:
@@ -135,19 +114,19 @@ class LiveView:
 
     def _kill(self) -> None:
         self._stuck = True
-        self._listener.process.kill()
+        self._child.process.kill()
 
     def _judge(self) -> list[str]:
         if self._stuck:
-            self._listener.process.wait()
-            return ["the live view hung and was ended"]
+            self._child.process.wait()
+            return [HUNG]
         summary = next(filter(None, map(told, reversed(self._said.splitlines()))), {})
         try:
             missed, taken = int(summary["missed"]), bool(summary["taken"])
             self.strangers = strangers_told(summary)
         except (ValueError, KeyError, TypeError):
-            return [f"the live view ended early: {self._listener.reason()}"]
-        self._listener.process.wait()
+            return [self._ended_early()]
+        self._child.process.wait()
         notes = [f"the live view lacks {missed} messages"] if missed else []
         if not taken:
             notes.append("the live view's end was not taken by the viewer")

@@ -19,6 +19,7 @@ from skewmi.child import tell_parent
 from skewmi.deploy.recording.listener import Counts, Input, listen
 from skewmi.deploy.replay.assembler import RunAssembler
 from skewmi.deploy.replay.data import Subject
+from skewmi.deploy.replay.live_child import come_last, failed
 from skewmi.deploy.replay.streams import Streams
 from skewmi.deploy.replay.view import RunView
 from skewmi.deploy.wire.topics import TOPICS, YUMI_CONTROLLER_STATE
@@ -36,9 +37,6 @@ ALIVE_S = 1.0
 _SHOWN = tuple(topic for topic in TOPICS if topic != YUMI_CONTROLLER_STATE)
 """What is executed is told in every cycle, and can be seen in the joint states: not worth the time
 of a process that comes last."""
-
-_NICENESS = 10
-"""Drawing waits for those who move the arm; a viewer that is spawned inherits it."""
 
 _GIVE_UP_S = 5.0
 """After the owner's end: a viewer that takes nothing for minutes fills Rerun's buffers, and
@@ -83,8 +81,7 @@ def _tell_alive() -> None:
 
 def main() -> int:
     """Draw until standard input ends. Returns the exit code; failures go to stderr."""
-    with contextlib.suppress(OSError):
-        os.nice(_NICENESS)
+    come_last()
     opened: list[Streams] = []
 
     def give_up() -> None:
@@ -99,8 +96,7 @@ def main() -> int:
         opened.append(streams)
         counts, assembler = _show(source, streams)
     except (SkewmiError, OSError, RuntimeError) as error:
-        sys.stderr.write(f"{' '.join(str(error).split())}\n")
-        return 1
+        return failed(error)
     taken = streams.finish()
     tell_parent(**counts.as_dict(), malformed=assembler.malformed, taken=taken)
     if not taken:

@@ -1,0 +1,91 @@
+"""A process that works beside its owner: started with a task, told lines, asked why it ended.
+
+Nobody waits for it, and it outlives whoever started it: if that is killed, its end of the child's
+standard input closes, and the child finishes. What such a child does at its end is in `child`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import subprocess
+from tempfile import TemporaryFile
+from typing import IO, Self
+
+from skewmi.child import child_command, told, wait_for_line
+
+_LAST_WORDS_S = 0.5
+"""A child that is not ready and has said why is about to end; otherwise it hangs."""
+
+
+class ChildStartError(Exception):
+    """The process did not get ready; the message says why."""
+
+
+class ChildProcess:
+    """A child process that runs one of our modules; `launch` makes one.
+
+    Args:
+        process: The child.
+        words: Where its standard error goes.
+    """
+
+    def __init__(self, process: subprocess.Popen[bytes], words: IO[bytes]) -> None:
+        self.process = process
+        self._words = words
+
+    @classmethod
+    def launch(cls, module: str, task: object, timeout_s: float) -> Self:
+        """Start a module and give it a task; returns once it has told that it is ready.
+
+        Args:
+            module: What to run, as `python -m`.
+            task: What it is told first; JSON.
+            timeout_s: How long it may take to get ready, s.
+
+        Raises:
+            ChildStartError: It ended, or was not ready in time.
+        """
+        # A file, because nobody reads while it runs: a full pipe would block it.
+        words = TemporaryFile()  # noqa: SIM115 (lives as long as the child)
+        process = subprocess.Popen(
+            child_command("-m", module),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=words,
+            # A session of its own, so that Ctrl-C reaches the owner only, who then ends the child.
+            start_new_session=True,
+        )
+        child = cls(process, words)
+        child.write(task)
+        assert process.stdout is not None
+        if wait_for_line(process.stdout, _is_ready, timeout_s) is None:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(_LAST_WORDS_S)
+            process.kill()
+            raise ChildStartError(child.reason())
+        return child
+
+    def write(self, content: object) -> None:
+        """Send a line; not for the hot loop. Nothing happens if the process is gone."""
+        assert self.process.stdin is not None
+        with contextlib.suppress(OSError, ValueError):
+            self.process.stdin.write(json.dumps(content).encode() + b"\n")
+            self.process.stdin.flush()
+
+    def let_finish(self) -> None:
+        """Close the child's standard input: that is how it learns that this was all."""
+        assert self.process.stdin is not None
+        with contextlib.suppress(OSError):
+            self.process.stdin.close()
+
+    def reason(self) -> str:
+        """Why the process ended, in its own words if it had any; waits for the end."""
+        self.process.wait()
+        self._words.seek(0)
+        lines = [s for s in self._words.read().decode(errors="replace").splitlines() if s.strip()]
+        return lines[-1] if lines else "its process was killed or hung"
+
+
+def _is_ready(line: bytes) -> bool:
+    return told(line) == {"ready": True}
