@@ -5,7 +5,8 @@ of its own opens the link, as often as it takes. Everything else is called by th
 and never waits.
 
 Time is what the robot server says, and nobody else: that thread asks it who publishes its joint
-states, and only those are looked at. One that was started again is asked again.
+states, and only those are looked at. One that was started again is asked again. Nor does anybody
+else put the scene back: who may ask for that, and when, the robot server knows.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from skewmi.deploy.robot.backends.egm.scene import (
     EMULATOR_RESET,
     EMULATOR_STATUS,
     SCENE_PUBLISHER,
+    ResetRequest,
 )
 from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.wire import topics
@@ -64,6 +66,8 @@ class Opened:
     joints: LatestReader
     senders: TopicSenders
     """Whose joint states count."""
+    robot_server: str
+    """Zenoh id of the session that may ask for resets."""
     scene: Publisher
     status: Publisher
     reset: Service
@@ -79,11 +83,13 @@ class Opened:
         """
         senders = Senders(link.graph.node_of)
         joints = link.subscribe(topics.YUMI_JOINT_STATES, _CROWD, senders)
-        senders.believe({topics.YUMI_JOINT_STATES.name: _publishers_of_joint_states(link)})
+        publishers, robot_server = _robot_server(link)
+        senders.believe({topics.YUMI_JOINT_STATES.name: publishers})
         return Opened(
             link,
             joints,
             senders.on(topics.YUMI_JOINT_STATES),
+            robot_server,
             link.publisher(topics.YUMI_SCENE_STATES),
             link.publisher(EMULATOR_STATUS),
             link.service(EMULATOR_RESET, reset, polled=True),
@@ -184,10 +190,27 @@ class SceneLink:
         return encode_status(Status(stamp_ns, NODE_NAME, OK, "emulated controller", values))
 
     def _answer_reset(self, request: Request) -> TriggerReply:
+        """Put the scene back, for the robot server alone.
+
+        The request names its session. That is no secret, so that whoever is known to be in another
+        one is refused all the same; a request may be quicker, though, than the word of where its
+        client is, and then its own word has to do.
+
+        Raises:
+            CommandRefusedError: It is somebody else's, or no request.
+        """
+        assert self._opened is not None  # it is polled
         try:
-            seed = int(json.loads(request.extra or b"0"))
-        except (ValueError, TypeError) as error:
-            raise CommandRefusedError(f"the seed of a reset is not a number: {error}") from error
+            asked = ResetRequest.from_json(request.extra)
+        except ValueError as error:
+            raise CommandRefusedError(f"this is no request for a reset: {error}") from error
+        session = self._opened.link.graph.session_of(request.gid) or asked.robot_server
+        if {session, asked.robot_server} != {self._opened.robot_server}:
+            raise CommandRefusedError(
+                f"client {request.gid.hex()[:8]} is not the robot server, which alone puts this "
+                f"scene back: ask that ({topics.YUMI_SCENE_RESET.name})"
+            )
+        seed = asked.seed
         return TriggerReply(True, json.dumps([float(value) for value in self._reset(seed)]))
 
     def _give_up(self, reason: str) -> None:
@@ -226,8 +249,8 @@ class SceneLink:
             raise
 
 
-def _publishers_of_joint_states(link: Link) -> tuple[bytes, ...]:
-    """Whom to take the time from, as the one robot server on the link says.
+def _robot_server(link: Link) -> tuple[tuple[bytes, ...], str]:
+    """Whom to take the time from, as the one robot server on the link says; and its session.
 
     Raises:
         TransportError: See `Opened.on`.
@@ -241,4 +264,8 @@ def _publishers_of_joint_states(link: Link) -> tuple[bytes, ...]:
     told = gids_of(RobotDescription.from_json(answers[0].message).publishers)
     if not told.get(topics.YUMI_JOINT_STATES.name):
         raise TransportError("the robot server does not say who publishes its joint states")
-    return told[topics.YUMI_JOINT_STATES.name]
+    publishers = told[topics.YUMI_JOINT_STATES.name]
+    session = answers[0].replier or link.graph.session_of(publishers[0])
+    if not session:
+        raise TransportError("the robot server's session is not announced yet")
+    return publishers, session

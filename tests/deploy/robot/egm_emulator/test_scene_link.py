@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -9,16 +11,20 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from robot_servers import NAMES, description
 from strangers import FALSE, LATER_NS, joints
 
 from skewmi.deploy.robot.backend import SceneState
+from skewmi.deploy.robot.backends.egm.scene import EMULATOR_RESET, ResetRequest
 from skewmi.deploy.robot.egm_emulator.scene_link import SceneLink
 from skewmi.deploy.robot.process import free_port
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.channels import LatestReader, Publisher
 from skewmi.deploy.wire.messages import TriggerReply, decode_joint_states
 from skewmi.deploy.wire.transport import Link, TransportConfig
+from skewmi.trajectory import Array
 
 SCENE = SceneState(("lid_hinge",), np.zeros(1), np.zeros(1))
 PATIENCE_S = 10.0
@@ -28,6 +34,7 @@ PATIENCE_S = 10.0
 class Server:
     """What a scene needs of a robot server, and what that hears."""
 
+    link: Link
     joints: Publisher
     scene: LatestReader
 
@@ -43,14 +50,14 @@ def server(locator: str, *, names_publisher: bool = True) -> Iterator[Server]:
         named = {topics.YUMI_JOINT_STATES.name: (told.gid.hex(),)} if names_publisher else {}
         answer = TriggerReply(True, description(publishers=named).to_json())
         link.service(topics.YUMI_DESCRIBE, lambda request: answer)
-        yield Server(told, link.subscribe(topics.YUMI_SCENE_STATES, depth=None))
+        yield Server(link, told, link.subscribe(topics.YUMI_SCENE_STATES, depth=None))
 
 
 @contextmanager
-def scene_at(locator: str) -> Iterator[SceneLink]:
-    link = SceneLink.open(
-        TransportConfig.for_client(locator), lambda: SCENE, dict, lambda seed: np.zeros(7)
-    )
+def scene_at(
+    locator: str, reset: Callable[[int], Array] = lambda seed: np.zeros(7)
+) -> Iterator[SceneLink]:
+    link = SceneLink.open(TransportConfig.for_client(locator), lambda: SCENE, dict, reset)
     try:
         yield link
     finally:
@@ -133,3 +140,62 @@ def test_robot_server_that_was_started_again_is_found(others: bool) -> None:
     with scene_at(locator) as scene:
         hear(scene, locator, others=others)
         hear(scene, locator, others=others)
+
+
+def asked_for(scene: SceneLink, link: Link, request: bytes) -> TriggerReply:
+    """What a scene that is served meanwhile answers."""
+    answers: list[TriggerReply] = []
+    thread = threading.Thread(
+        target=lambda: answers.append(link.call(EMULATOR_RESET, PATIENCE_S, request))
+    )
+    thread.start()
+    until(lambda: answers, scene.serve)
+    thread.join()
+    return answers[0]
+
+
+def test_a_scene_is_put_back_for_the_robot_server_alone() -> None:
+    locator, seeds = f"tcp/127.0.0.1:{free_port()}", list[int]()
+
+    def reset(seed: int) -> Array:
+        seeds.append(seed)
+        return np.full(7, 0.5)
+
+    with ExitStack() as stack:
+        robot = stack.enter_context(server(locator))
+        scene = stack.enter_context(scene_at(locator, reset))
+        other = stack.enter_context(Link.open(TransportConfig.for_client(locator), "other"))
+        until(lambda: scene.connected, scene.serve)
+        # So that it is known where this client is before it passes for somebody else.
+        until(lambda: other.graph.session_of(robot.joints.gid), scene.serve)
+        for request in (
+            b"",
+            b"7",
+            ResetRequest(7, other.session_id).to_json(),
+            ResetRequest(7, robot.link.session_id).to_json(),
+        ):
+            refused = asked_for(scene, other, request)
+            assert not refused.success
+            assert seeds == []
+        assert "/yumi/scene/reset" in refused.message
+        answer = asked_for(scene, robot.link, ResetRequest(7, robot.link.session_id).to_json())
+        assert answer.success, answer.message
+        assert json.loads(answer.message) == [0.5] * 7
+    assert seeds == [7]
+
+
+@given(st.integers(0, 10**18 - 1), st.text(min_size=1))
+def test_a_request_for_a_reset_is_read_as_it_was_written(seed: int, session: str) -> None:
+    asked = ResetRequest(seed, session)
+    assert ResetRequest.from_json(asked.to_json()) == asked
+
+
+@given(
+    st.binary()
+    | st.recursive(st.none() | st.integers() | st.text(), st.lists).map(
+        lambda value: json.dumps(value).encode()
+    )
+)
+def test_anything_else_is_no_request(request: bytes) -> None:
+    with pytest.raises(ValueError, match=r"."):
+        ResetRequest.from_json(request)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -31,6 +32,40 @@ publishes its states."""
 
 SCENE_PUBLISHER = "scene_publisher"
 """Key in that status: global id of the emulator's publisher of scene states, hexadecimal."""
+
+_MOST_SEED = 10**18
+
+
+@dataclass(frozen=True)
+class ResetRequest:
+    """What is asked of `EMULATOR_RESET`, as JSON behind the Trigger request."""
+
+    seed: int
+    """Of what the scene draws at a reset."""
+    robot_server: str
+    """Zenoh id of the session that asks."""
+
+    def to_json(self) -> bytes:
+        """One JSON object."""
+        return json.dumps({"seed": self.seed, "robot_server": self.robot_server}).encode()
+
+    @staticmethod
+    def from_json(request: bytes) -> ResetRequest:
+        """Inverse of `to_json`.
+
+        Raises:
+            ValueError: It is not such an object; the message says what is wrong.
+        """
+        content = json.loads(request or b"{}")
+        if not isinstance(content, dict):
+            raise ValueError("it is not a JSON object")
+        seed, robot_server = content.get("seed"), content.get("robot_server")
+        if not isinstance(seed, int) or isinstance(seed, bool) or not 0 <= seed < _MOST_SEED:
+            raise ValueError("its seed is not a whole number of at most 18 digits, not negative")
+        if not isinstance(robot_server, str) or not robot_server:
+            raise ValueError("it does not name the robot server")
+        return ResetRequest(seed, robot_server)
+
 
 RESET_TIMEOUT_S = 1.0
 _HEARD_S = 1.5
@@ -104,7 +139,8 @@ class EgmScene:
                 "back by hand"
             )
         try:
-            reply = self._link.call(EMULATOR_RESET, RESET_TIMEOUT_S, str(seed).encode())
+            request = ResetRequest(seed, self._link.session_id).to_json()
+            reply = self._link.call(EMULATOR_RESET, RESET_TIMEOUT_S, request)
             if not reply.success:
                 raise CommandRefusedError(reply.message)
             q = np.array([float(value) for value in json.loads(reply.message)])
