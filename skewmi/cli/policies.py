@@ -47,17 +47,31 @@ def load_policy_from(path: Path, which: Which) -> Policy:
     """
     if path.is_dir():
         return load_run(path, which)
-    if not policies.locate(path).exists():
-        names = ", ".join(policies.bundled()) or "none"
-        raise NotFoundError(
-            f"{path} does not exist; give a run directory of skewmi train, an ONNX file of "
-            f"skewmi export-onnx, or the name of a bundled policy ({names})"
-            f"{did_you_mean(str(path), policies.bundled())}"
-        )
+    found = locate_policy(path, "a run directory of skewmi train, an ONNX file")
     from skewmi.deploy.policy import OnnxPolicy
 
-    policy: Policy = OnnxPolicy.load(path)
+    policy: Policy = OnnxPolicy.load(found)
     return policy
+
+
+def locate_policy(path: Path, wanted: str) -> Path:
+    """An existing path as it is, or the file of the bundled policy of that name.
+
+    Args:
+        path: As it was given.
+        wanted: What else might be given, in words that end with "an ONNX file".
+
+    Raises:
+        NotFoundError: There is neither.
+    """
+    found = policies.locate(path)
+    if found.exists():
+        return found
+    names = ", ".join(policies.bundled()) or "none"
+    raise NotFoundError(
+        f"{path} does not exist; give {wanted} of skewmi export-onnx, or the name of a bundled "
+        f"policy ({names}){did_you_mean(str(path), policies.bundled())}"
+    )
 
 
 def task_options(task: str, wanted: PolicyLayout | None, given: tuple[str, ...]) -> dict[str, Any]:

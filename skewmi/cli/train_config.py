@@ -7,12 +7,11 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-from skewmi import policies
 from skewmi.cli import numbers
-from skewmi.cli.policies import task_options
+from skewmi.cli.policies import locate_policy, task_options
 from skewmi.cli.task_flags import calibration_option, variation_option
 from skewmi.cli.train_options import TrainCommand, changed_flags, origin_config
-from skewmi.errors import ConfigurationError, NotFoundError, did_you_mean
+from skewmi.errors import ConfigurationError
 from skewmi.policy_io import Policy
 from skewmi.train.checkpoint import read_checkpoint, read_run_header
 from skewmi.train.config import TrainConfig
@@ -165,12 +164,10 @@ def load_teacher(options: TrainCommand) -> Policy | None:
 
 
 def _teacher_file(name: str) -> Path:
-    path = policies.locate(Path(name))
+    path = locate_policy(Path(name), "an ONNX file")
     if not path.is_file():
-        bundled = ", ".join(policies.bundled()) or "none"
-        raise NotFoundError(
-            f"--teacher {name}: there is no such file; give an ONNX file of skewmi export-onnx, or "
-            f"the name of a bundled policy ({bundled}){did_you_mean(name, policies.bundled())}"
+        raise ConfigurationError(
+            f"--teacher {name} is no file; write a run's policy to one with skewmi export-onnx"
         )
     return path
 

@@ -61,6 +61,8 @@ def test_another_teacher_is_refused(
     ("given", "said"),
     [
         (["--teacher", "open_pres_close"], "did you mean 'open_press_close'"),
+        (["--teacher", "nothing.onnx"], "nothing.onnx does not exist; give an ONNX file of"),
+        (["--teacher", "."], "--teacher . is no file; write a run's policy to one with"),
         (["--teacher", "open_press_close"], "the teacher"),
         (["--teacher", "open_press_close", "--start-from", "elsewhere"], ""),
     ],
