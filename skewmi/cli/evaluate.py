@@ -2,7 +2,8 @@
 
 An episode succeeds when its state stays inside the task's reward region for as many consecutive
 steps as the task demands. Prints the rate with its 95 % Wilson interval and, where the task
-measures it, how hard the robot touched things and how well it followed its commands.
+measures it, how hard the robot touched things and how well it followed its commands. Exit code 0,
+however many succeed.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """`skewmi COMMAND ...`: finds the command, parses its options, turns errors into exit codes.
 
-Exit codes: 0 done, 1 done but the task or check failed, 2 bad input or environment,
-130 interrupted. Errors that the user can mend are one line on standard error.
+Exit codes: 0 done, 1 stopped before the end or failed a check, 2 bad input or environment,
+130 interrupted. How many episodes succeed is a result, not a failure. Errors that the user can
+mend are one line on standard error.
 """
 
 from __future__ import annotations
