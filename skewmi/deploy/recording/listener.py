@@ -20,7 +20,7 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 from skewmi.child import tell_parent
-from skewmi.deploy.wire.channels import Sample
+from skewmi.deploy.wire.channels import LatestReader, Sample
 from skewmi.deploy.wire.senders import Senders, Stranger, gids_of
 from skewmi.deploy.wire.topics import TOPICS, YUMI_DESCRIBE, Topic
 from skewmi.deploy.wire.transport import Link, TransportConfig
@@ -136,21 +136,13 @@ def listen(
 
     if believed is not None:
         believe(believed)
-    # Unread samples pile up here in memory, never in Zenoh, where they would slow others.
-    readers = [(topic, link.subscribe(topic, None, senders)) for topic in topics]
-    # What travels on a link keeps its order: once the robot server has answered, it knows what we
-    # subscribe to. Not everything that publishes serves descriptions.
-    with contextlib.suppress(TransportError):
-        link.call(YUMI_DESCRIBE, _ANSWER_S)
+    readers = _subscribed(link, topics, senders)
     tell_parent(ready=True)
     end_s = float("inf")
     while True:
         # Looked at before the topics, so that what came before the end is handed over.
         ending = time.monotonic() >= end_s
-        for topic, reader in readers:
-            for sample in reader.drain():
-                counts.add(sample.gid, sample.sequence)
-                on_sample(topic, sample)
+        _hand_over(readers, counts, on_sample)
         on_round()
         if ending:
             return counts
@@ -166,6 +158,30 @@ def listen(
             believe(content["believed"])
         else:
             on_line(content)
+
+
+def _subscribed(
+    link: Link, topics: Sequence[Topic], senders: Senders
+) -> list[tuple[Topic, LatestReader]]:
+    """Readers of topics, once the robot server knows of them."""
+    # Unread samples pile up here in memory, never in Zenoh, where they would slow others.
+    readers = [(topic, link.subscribe(topic, None, senders)) for topic in topics]
+    # What travels on a link keeps its order: once the robot server has answered, it knows what we
+    # subscribe to. Not everything that publishes serves descriptions.
+    with contextlib.suppress(TransportError):
+        link.call(YUMI_DESCRIBE, _ANSWER_S)
+    return readers
+
+
+def _hand_over(
+    readers: list[tuple[Topic, LatestReader]],
+    counts: Counts,
+    on_sample: Callable[[Topic, Sample], None],
+) -> None:
+    for topic, reader in readers:
+        for sample in reader.drain():
+            counts.add(sample.gid, sample.sequence)
+            on_sample(topic, sample)
 
 
 def strangers_told(words: Mapping[str, Any]) -> tuple[Stranger, ...]:

@@ -80,16 +80,31 @@ def spawn_robot(
         with _child(name, _command(name, [*server, *varied]), meanwhile):
             yield locator
         return
+    scene = ["--task", task, "--connect", locator, "--domain", str(domain), *varied]
+    with _emulated(server, scene, meanwhile):
+        yield locator
+
+
+@contextmanager
+def _emulated(
+    server: list[str], scene: list[str], meanwhile: Callable[[], object]
+) -> Iterator[None]:
+    """The bridge to a real robot's controller, and an emulated one at its other end.
+
+    Args:
+        server: Options of the bridge.
+        scene: Options of the emulated controller.
+        meanwhile: See `spawn_robot`.
+    """
     right, left = (f"127.0.0.1:{free_port(socket.SOCK_DGRAM)}" for _ in range(2))
-    controller = ["--task", task, "--egm-remote", right, "--egm-remote-left", left]
-    controller += ["--connect", locator, "--domain", str(domain)]
-    controller += ["--egm-comm-timeout-s", f"{EMULATED_COMM_TIMEOUT_S}"]
     bridge = [*server, "--egm-listen", right, "--egm-listen-left", left]
+    controller = [*scene, "--egm-remote", right, "--egm-remote-left", left]
+    controller += ["--egm-comm-timeout-s", f"{EMULATED_COMM_TIMEOUT_S}"]
     with (
         _child("egm", _command("egm", bridge), meanwhile),
-        _child(name, _command(name, [*controller, *varied])),
+        _child(EMULATOR, _command(EMULATOR, controller)),
     ):
-        yield locator
+        yield
 
 
 def _command(backend: str, options: list[str]) -> list[str]:

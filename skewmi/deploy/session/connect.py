@@ -10,7 +10,7 @@ from skewmi.calibration.calibration_use import servo_constants
 from skewmi.deploy.motion.planner import Planner
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.report import DeployReport
-from skewmi.deploy.robot.description import FLANGE_SPEED
+from skewmi.deploy.robot.description import FLANGE_SPEED, RobotDescription
 from skewmi.deploy.safety.checks import ChunkChecks
 from skewmi.deploy.safety.limits import TCP_SPEED_LIMIT
 from skewmi.deploy.session.agreement import check_agreement, check_pace
@@ -68,38 +68,18 @@ def connect(
     layout, workspace = policy.layout, require_workspace(policy.layout)
     servos = None if known is None else servo_constants(known)
     limits = planning_limits(options.limits, options.speed, servos)
-    told = link.publisher(topics.YUMI_STATUS)
-    commands, gripper = link.publisher(topics.YUMI_TRAJECTORY), link.publisher(topics.YUMI_GRIPPER)
     shown = PolicyTopics.open(link, layout)
-    own = {
-        topics.YUMI_STATUS.name: (told.gid,),
-        topics.YUMI_TRAJECTORY.name: (commands.gid,),
-        topics.YUMI_GRIPPER.name: (gripper.gid,),
-        **shown.gids,
-    }
-    status, trust = SessionStatus(told), Trust(link, own, options.scene_from)
-    trust.on_stranger = status.tell_strangers
-    robot = RobotClient.open(link, trust, commands, gripper, dry_run=options.dry_run)
+    robot, status, trust = _ends_of(link, shown, options)
     described = trust.meet(with_scene=True)
     check_pace(described, lock_step=options.lock_step)
     check_agreement(layout, options.robot_model_hash, limits, described)
     status.clock_ns = described.clock_ns
-    agreement = agree_on_calibration(known, described)
-    robot.delay = ArmDelay(agreement.delay_s)
-    _tell(agreement.note, report, tell)
-
+    robot.delay = _agreed_delay(known, described, report, tell)
     lead_s = options.lead_ms / 1e3
     observer = Observer.open(link, layout, described, trust.senders, lead_s, known)
     flange_speed = described.limits.get(FLANGE_SPEED, (TCP_SPEED_LIMIT,))[0]
     times, checks = CycleTimes(), ChunkChecks(limits, workspace, flange_speed)
-    stream = ChunkStream(
-        robot.put_chunk,
-        described.joint_names,
-        checks.stages,
-        times,
-        lock_step=options.lock_step,
-        lead_ns=lead_of(options.lead_ms, described.cycle_ns),
-    )
+    stream = _stream_to(robot, described, checks, times, options)
     loop = ControlLoop(robot, observer, stream, times, status, stop, lock_step=options.lock_step)
     planner = Planner(workspace, limits, flange_speed=flange_speed)
     pace = choose_pace(layout, options.speed, planner.hand_bounds.speed, limits.name)
@@ -118,6 +98,54 @@ def connect(
     can_wait = can_wait and options.live is None
     status.fire(SessionEvent.CONNECTED, f"{described.backend} robot, {described.task}")
     return Session(options, episodes, status, trust, stream, times, report, stop, can_wait, tell)
+
+
+def _agreed_delay(
+    known: Calibration | None,
+    described: RobotDescription,
+    report: DeployReport,
+    tell: Callable[[str], None],
+) -> ArmDelay:
+    """How late the arm is, as far as session and robot server know of it."""
+    agreement = agree_on_calibration(known, described)
+    _tell(agreement.note, report, tell)
+    return ArmDelay(agreement.delay_s)
+
+
+def _ends_of(
+    link: Link, shown: PolicyTopics, options: DeployOptions
+) -> tuple[RobotClient, SessionStatus, Trust]:
+    """A session's ends of the link: whom it commands, what it says, and whom it believes."""
+    told = link.publisher(topics.YUMI_STATUS)
+    commands, gripper = link.publisher(topics.YUMI_TRAJECTORY), link.publisher(topics.YUMI_GRIPPER)
+    own = {
+        topics.YUMI_STATUS.name: (told.gid,),
+        topics.YUMI_TRAJECTORY.name: (commands.gid,),
+        topics.YUMI_GRIPPER.name: (gripper.gid,),
+        **shown.gids,
+    }
+    status, trust = SessionStatus(told), Trust(link, own, options.scene_from)
+    trust.on_stranger = status.tell_strangers
+    robot = RobotClient.open(link, trust, commands, gripper, dry_run=options.dry_run)
+    return robot, status, trust
+
+
+def _stream_to(
+    robot: RobotClient,
+    described: RobotDescription,
+    checks: ChunkChecks,
+    times: CycleTimes,
+    options: DeployOptions,
+) -> ChunkStream:
+    """Where chunks go to."""
+    return ChunkStream(
+        robot.put_chunk,
+        described.joint_names,
+        checks.stages,
+        times,
+        lock_step=options.lock_step,
+        lead_ns=lead_of(options.lead_ms, described.cycle_ns),
+    )
 
 
 def _watch_pace(
