@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from skewmi.deploy.robot.status import RobotStatus
+from skewmi.deploy.safety.limits import SPLICE_TOLERANCE
 from skewmi.deploy.session.timing import BUSY_ADVICE
 from skewmi.errors import CommandRefusedError
+from skewmi.policy_io import Array
 
 
 class OutOfStepError(CommandRefusedError):
@@ -20,6 +24,25 @@ class LateChunkError(OutOfStepError):
 
 class ReferenceMovedError(OutOfStepError):
     """The arm is not held any more where a motion was planned from; nothing of it was sent."""
+
+
+def check_reference(held: Array, q: Array) -> None:
+    """See that an arm is held where a motion was planned from.
+
+    Args:
+        held: Where the robot server holds it, rad. Shape (7,).
+        q: From where it was planned, rad. Shape (7,).
+
+    Raises:
+        ReferenceMovedError: These are not the same place.
+    """
+    off = float(np.abs(held - q).max()) if held.shape == q.shape else float("inf")
+    if not off <= SPLICE_TOLERANCE[0]:
+        raise ReferenceMovedError(
+            f"the robot server holds the arm {off:.3g} rad from where the motion was planned "
+            f"to begin; at most {SPLICE_TOLERANCE[0]:g} rad are allowed: does anybody else "
+            "move it?"
+        )
 
 
 def given_up(what: str, attempts: int, last: OutOfStepError | None) -> CommandRefusedError:

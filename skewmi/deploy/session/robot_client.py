@@ -11,13 +11,12 @@ from skewmi.deploy.robot.description import SCENE_REQUEST, RobotDescription
 from skewmi.deploy.robot.states import ServerState
 from skewmi.deploy.robot.status import RobotStatus
 from skewmi.deploy.safety.flange_space import TASK
-from skewmi.deploy.safety.limits import SPLICE_TOLERANCE
 from skewmi.deploy.session.arm_delay import ArmDelay
 from skewmi.deploy.session.interrupt import StopRequestedError
 from skewmi.deploy.session.refused import (
     LateChunkError,
-    ReferenceMovedError,
     RefusedCommands,
+    check_reference,
 )
 from skewmi.deploy.session.trust import Trust
 from skewmi.deploy.wire import topics
@@ -172,14 +171,7 @@ class RobotClient:
         """
         if self._dry_run:
             return
-        held = np.array(self._ask().commanded_position)
-        off = float(np.abs(held - q).max()) if held.shape == q.shape else float("inf")
-        if off > SPLICE_TOLERANCE[0]:
-            raise ReferenceMovedError(
-                f"the robot server holds the arm {off:.3g} rad from where the motion was planned "
-                f"to begin; at most {SPLICE_TOLERANCE[0]:g} rad are allowed: does anybody else "
-                "move it?"
-            )
+        check_reference(np.array(self._ask().commanded_position), q)
 
     def confirm_senders(self) -> None:
         """Look once more whether anybody sends in the robot server's name.
