@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import time
-
 from skewmi.calibration.calibration_file import Calibration
 from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.session.arm_state import ArmState, ArmStateDecoder
+from skewmi.deploy.session.arm_states import ArmStates
 from skewmi.deploy.session.lid_zero import LidZero
-from skewmi.deploy.session.scene_states import MAX_SCENE_AGE_S, SceneStates, StaleStateError
-from skewmi.deploy.session.timing import BUSY_ADVICE
+from skewmi.deploy.session.scene_states import MAX_SCENE_AGE_S, SceneStates
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.senders import Senders
-from skewmi.deploy.wire.transport import LatestReader, Link, Sample
+from skewmi.deploy.wire.transport import LatestReader, Link
 from skewmi.policy_io import TIME_FIELD, Array, PolicyLayout, assemble_observation
 from skewmi.robot_models import frames, yumi
 from skewmi.robot_models.kinematics import ArmKinematics
@@ -21,9 +19,6 @@ MAX_JOINT_AGE_S = 0.100
 """Joint states older than this stop the arm; with a long lead they may be older."""
 MOST_JOINT_AGE_S = 0.300
 """And with the longest lead."""
-LOCK_STEP_PATIENCE_S = 30.0
-"""In lock-step nothing is ever old; a robot server that says nothing for so long is gone."""
-
 CROWD = 1_000
 """Unread messages that are kept of everybody, so that a stranger's do not displace the robot
 server's: in the longest wait between two looks, 18 ms, somebody may send 55,000 a second."""
@@ -37,10 +32,6 @@ as old as scene states may be."""
 
 _SCENE_AFTER_S = 0.1
 """A scene state may be older than a joint state by this."""
-
-_POLL_S = 250e-6
-_CALM_S = 0.005
-_EARLY_S = 0.002
 
 
 def allowed_age_s(lead_s: float) -> float:
@@ -82,16 +73,17 @@ class Observer:
         max_age_s: float = MAX_JOINT_AGE_S,
         zero: LidZero | None = None,
     ) -> None:
-        self._joints, self._zero = joints, zero
-        self._decoder = decoder
-        self._scene = scene
+        self._arms = ArmStates(
+            joints,
+            decoder,
+            lock_step=lock_step,
+            state_period_s=state_period_s,
+            max_age_s=max_age_s,
+        )
+        self._scene, self._zero = scene, zero
         self._layout = layout
-        self._lock_step = lock_step
         self.max_age_s = max_age_s
-        self._period_ns = round(state_period_s * 1e9)
         self._kinematics = ArmKinematics("right")
-        self._arm: ArmState | None = None
-        self._queue: list[Sample] = []
 
     @staticmethod
     def open(
@@ -135,43 +127,16 @@ class Observer:
         )
 
     def next_state(self) -> ArmState | None:
-        """Wait for a joint state that is newer than the last one returned.
-
-        Sleeps until shortly before it is due: no busy waiting.
-
-        Returns:
-            None if the robot server repeats the last one: in lock-step, time stands still, and
-            this is the moment to find out why.
+        """Wait for a joint state that is newer than the last one returned; see `ArmStates.next`.
 
         Raises:
             StaleStateError: None came in time.
             TransportError: A state is malformed.
         """
-        last = self._arm
-        patience_s = LOCK_STEP_PATIENCE_S if self._lock_step else self.max_age_s
-        started_ns = time.monotonic_ns()
-        since_ns = started_ns if last is None else max(last.received_ns, 0)
-        if last is not None and not self._lock_step:
-            early_s = (last.received_ns + self._period_ns - started_ns) / 1e9 - _EARLY_S
-            if early_s > 0.0:
-                time.sleep(early_s)
-        while True:
-            state = self._take()
-            if state is not None:
-                if last is not None and state.stamp_ns <= last.stamp_ns:
-                    return None
-                self._arm = state
-                self._scene.take(state.stamp_ns)
-                return state
-            waited_s = (time.monotonic_ns() - since_ns) / 1e9
-            if waited_s > patience_s:
-                advice = "" if self._lock_step else f"; {BUSY_ADVICE}"
-                raise StaleStateError(
-                    f"no new joint state for {1e3 * waited_s:.0f} ms; at most "
-                    f"{1e3 * patience_s:.0f} ms are allowed{advice}{self._joints.others()}"
-                )
-            # In lock-step a state comes as soon as the robot server has its time.
-            time.sleep(20e-6 if self._lock_step and waited_s < _CALM_S else _POLL_S)
+        state = self._arms.next()
+        if state is not None:
+            self._scene.take(state.stamp_ns)
+        return state
 
     def fresh_state(self) -> ArmState:
         """Forget everything, and wait for a joint state with the scene state that belongs to it.
@@ -202,16 +167,14 @@ class Observer:
             StaleStateError: None comes.
             TransportError: It is malformed.
         """
-        self._joints.drain()
-        self._queue.clear()
+        self._arms.drop_unread()
         return self._first_state()
 
     def forget(self) -> None:
         """Drop whatever has been received: what comes next is newer than this call."""
-        self._joints.drain()
-        self._queue.clear()
+        self._arms.drop_unread()
         self._scene.forget()
-        self._arm = None
+        self._arms.last = None
 
     def check_scene(self) -> None:
         """Refuse to act on a scene that has not been heard of for too long.
@@ -219,7 +182,8 @@ class Observer:
         Raises:
             StaleStateError: Fields that the policy needs are missing or too old.
         """
-        self._scene.check(None if self._arm is None else self._arm.stamp_ns)
+        last = self._arms.last
+        self._scene.check(None if last is None else last.stamp_ns)
 
     def begin_episode(self) -> None:
         """The policy is about to see its first observation."""
@@ -228,7 +192,7 @@ class Observer:
 
     def _first_state(self) -> ArmState:
         """The next joint state, be it the last one: in lock-step the same state is repeated."""
-        self._arm = None
+        self._arms.last = None
         state = self.next_state()
         assert state is not None
         return state
@@ -262,13 +226,3 @@ class Observer:
             **(scene if self._zero is None else self._zero.taken_off(scene)),
         }
         return assemble_observation(self._layout, fields)
-
-    def _take(self) -> ArmState | None:
-        """The next unread state: the oldest in lock-step, else the newest."""
-        self._queue += self._joints.drain()
-        if not self._queue:
-            return None
-        sample = self._queue.pop(0 if self._lock_step else -1)
-        if not self._lock_step:
-            self._queue.clear()
-        return self._decoder.decode(sample)
