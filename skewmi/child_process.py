@@ -8,7 +8,10 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import subprocess
+import time
+from pathlib import Path
 from tempfile import TemporaryFile
 from typing import IO, Self
 
@@ -16,6 +19,8 @@ from skewmi.child import child_command, told, wait_for_line
 
 _LAST_WORDS_S = 0.5
 """A child that is not ready and has said why is about to end; otherwise it hangs."""
+_WORK_S = 0.05
+"""Processor time that is work, and not the timers of a library in a process that hangs."""
 
 
 class ChildStartError(Exception):
@@ -33,6 +38,7 @@ class ChildProcess:
     def __init__(self, process: subprocess.Popen[bytes], words: IO[bytes]) -> None:
         self.process = process
         self._words = words
+        self._worked_s = 0.0
 
     @classmethod
     def launch(cls, module: str, task: object, timeout_s: float) -> Self:
@@ -79,12 +85,51 @@ class ChildProcess:
         with contextlib.suppress(OSError):
             self.process.stdin.close()
 
+    def is_working(self) -> bool:
+        """Whether the process has used the processor, by `_WORK_S`, since this was asked last.
+
+        One that hangs has not; one that a busy computer leaves little time has. False where the
+        system does not tell (it does in `/proc` on Linux).
+        """
+        before, self._worked_s = self._worked_s, _processor_s(self.process.pid)
+        return self._worked_s >= before + _WORK_S
+
+    def wait(self, idle_s: float, longest_s: float) -> int | None:
+        """Wait for the end of the process for as long as it works.
+
+        Args:
+            idle_s: For how long it may do nothing, s.
+            longest_s: How long to wait at most, s.
+
+        Returns:
+            Its exit code; None if it has not ended.
+        """
+        self.is_working()
+        until = time.monotonic() + longest_s
+        while True:
+            try:
+                return self.process.wait(idle_s)
+            except subprocess.TimeoutExpired:
+                if not self.is_working() or time.monotonic() > until:
+                    return None
+
     def reason(self) -> str:
         """Why the process ended, in its own words if it had any; waits for the end."""
         self.process.wait()
         self._words.seek(0)
         lines = [s for s in self._words.read().decode(errors="replace").splitlines() if s.strip()]
         return lines[-1] if lines else "its process was killed or hung"
+
+
+def _processor_s(pid: int) -> float:
+    """What a process has used of the processor, s; 0 where the system does not tell."""
+    try:
+        # The name in brackets may contain anything; behind it, user and system time are 12th, 13th.
+        told_of = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
+        ticks = sum(map(int, told_of.rpartition(")")[2].split()[11:13]))
+        return ticks / os.sysconf("SC_CLK_TCK")
+    except (OSError, ValueError):
+        return 0.0
 
 
 def _is_ready(line: bytes) -> bool:

@@ -17,6 +17,8 @@ from skewmi.deploy.replay.live_options import LiveOptions
 MODULE = "skewmi.cli.train_live_process"
 _START_TIMEOUT_S = 60.0
 _CLOSE_TIMEOUT_S = 10.0
+"""For how long a view that is to end may do nothing."""
+_CLOSE_LONGEST_S = 120.0
 
 
 class LiveTraining(DrawnByChild[ChildProcess]):
@@ -53,7 +55,7 @@ class LiveTraining(DrawnByChild[ChildProcess]):
     def close(self) -> str:
         """Let the view show what is left, and end it; what it lacks, in words, empty if nothing.
 
-        Safe to call twice; waits for `_CLOSE_TIMEOUT_S` at most.
+        Safe to call twice; waits for as long as the view works, `_CLOSE_LONGEST_S` at most.
         """
         if self._note is None:
             self._child.let_finish()
@@ -61,9 +63,8 @@ class LiveTraining(DrawnByChild[ChildProcess]):
         return self._note
 
     def _judge(self) -> str:
-        try:
-            code = self.process.wait(_CLOSE_TIMEOUT_S)
-        except subprocess.TimeoutExpired:
+        code = self._child.wait(_CLOSE_TIMEOUT_S, _CLOSE_LONGEST_S)
+        if code is None:
             self.process.kill()
             self.process.wait()
             return HUNG

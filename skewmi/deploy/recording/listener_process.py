@@ -7,6 +7,7 @@ anyway; its interpreter lock, garbage collector, disk and screen cannot hold the
 from __future__ import annotations
 
 import subprocess
+import time
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from typing import Any, Self
@@ -15,7 +16,8 @@ from skewmi.child import told
 from skewmi.child_process import ChildProcess
 from skewmi.deploy.wire.transport import TransportConfig
 
-_START_TIMEOUT_S = 30.0
+_START_TIMEOUT_S = 60.0
+_FINISH_LONGEST_S = 120.0
 
 
 class ListenerProcess(ChildProcess):
@@ -37,19 +39,27 @@ class ListenerProcess(ChildProcess):
         client = replace(config, connect=config.connect or config.listen, listen=(), server=False)
         return cls.launch(module, {**task, "config": _config_json(client)}, _START_TIMEOUT_S)
 
-    def finish(self, timeout_s: float) -> dict[str, Any]:
+    def finish(self, idle_s: float) -> dict[str, Any]:
         """Tell the process that this was all, and wait for its last words.
 
+        Args:
+            idle_s: For how long it may do nothing, s.
+
         Raises:
-            TimeoutError: It did not end in time, and was killed.
+            TimeoutError: It hung or did not end within `_FINISH_LONGEST_S`, and was killed.
             ValueError: It ended without them.
         """
-        try:
-            # Closes the pipe: that is how the listener learns that this was all.
-            out, _ = self.process.communicate(timeout=timeout_s)
-        except subprocess.TimeoutExpired as error:
-            self.process.kill()
-            raise TimeoutError from error
+        self.is_working()
+        until = time.monotonic() + _FINISH_LONGEST_S
+        while True:
+            try:
+                # Closes the pipe: that is how the listener learns that this was all.
+                out, _ = self.process.communicate(timeout=idle_s)
+                break
+            except subprocess.TimeoutExpired as error:
+                if not self.is_working() or time.monotonic() > until:
+                    self.process.kill()
+                    raise TimeoutError from error
         last = [content for line in out.splitlines() if (content := told(line)) is not None]
         if not last:
             raise ValueError("the process ended without its last words")

@@ -22,9 +22,9 @@ from skewmi.deploy.wire.senders import Stranger
 from skewmi.deploy.wire.transport import TransportConfig
 
 _STUCK_S = 5.0
-"""Without a sign of life for so long, the process is killed; it gives one every second."""
+"""For so long the process may do nothing and tell nothing; it gives a sign of life every second."""
 
-_CLOSE_TIMEOUT_S = 10.0
+_CLOSE_LONGEST_S = 60.0
 
 _KEPT_BYTES = 65_536
 """Of what the process has said last: its last words name strangers, a bounded number."""
@@ -91,7 +91,8 @@ class LiveView(DrawnByChild[ListenerProcess]):
         """End the view; what it lacks. Safe to call twice; neither raises nor waits for long."""
         if self._notes is None:
             self._child.let_finish()
-            self._watcher.join(_CLOSE_TIMEOUT_S)
+            # The watcher kills it if it hangs.
+            self._watcher.join(_CLOSE_LONGEST_S)
             if self._watcher.is_alive():
                 self._kill()
                 self._watcher.join()
@@ -105,6 +106,8 @@ class LiveView(DrawnByChild[ListenerProcess]):
         while True:
             ready, _, _ = select.select([said], [], [], _STUCK_S)
             if not ready:
+                if self._child.is_working():
+                    continue
                 self._kill()
                 return
             words = os.read(said, 4096)
