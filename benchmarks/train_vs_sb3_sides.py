@@ -14,7 +14,7 @@ import gymnasium
 import numpy as np
 import torch
 from common import progress
-from time_to_success import Judge, Stopwatch, peak_memory_mib, share_of_successes
+from time_to_success import Judge, Look, Stopwatch, peak_memory_mib, share_of_successes
 
 from skewmi.policy_io import Ball
 from skewmi.sim import tasks
@@ -139,13 +139,11 @@ def train(
     torch.set_num_threads(1)
     observers = maze(EPISODES, 0)
 
-    def judge_of(act: Callable[[np.ndarray], np.ndarray], watch: Stopwatch) -> Judge:
+    def judge_of(present: Callable[[], Act], watch: Stopwatch) -> Judge:
         def look() -> float:
-            share = share_of_successes(act, observers, TARGET, RADIUS, seed=10_000)
-            progress(f"  {watch.read()[0]:7.1f} s: {share:4.0%} of the episodes succeed")
-            return share
+            return share_of_successes(present(), observers, TARGET, RADIUS, seed=10_000)
 
-        return Judge(look, watch, bar=bar, in_a_row=in_a_row, limit_s=limit_s)
+        return Judge(look, watch, bar=bar, in_a_row=in_a_row, limit_s=limit_s, say=_tell)
 
     if side == OURS:
         judge, updates = _train_ours(seed, steps, judge_of)
@@ -167,7 +165,15 @@ def train(
     }
 
 
-JudgeOf = Callable[[Callable[[np.ndarray], np.ndarray], Stopwatch], Judge]
+def _tell(look: Look) -> None:
+    steps, wall, _, share = look
+    progress(f"  {wall:7.1f} s, {steps:9,} steps: {share:4.0%} of the episodes succeed")
+
+
+Act = Callable[[np.ndarray], np.ndarray]
+"""Observations to actions."""
+JudgeOf = Callable[[Callable[[], Act], Stopwatch], Judge]
+"""Makes the judge, from what gives the present policy and the clock of the training."""
 
 
 def _train_ours(seed: int, steps: int | None, judge_of: JudgeOf) -> tuple[Judge, int]:
@@ -183,12 +189,11 @@ def _train_ours(seed: int, steps: int | None, judge_of: JudgeOf) -> tuple[Judge,
     env = maze(config.rollout.num_envs, seed)
     runner = Runner(config, env)
 
-    def act(observation: np.ndarray) -> np.ndarray:
+    def present() -> Act:
         goal = runner.exploration.evaluation_goal
-        policy = TorchPolicy(env.layout, runner.learner.policy_module(goal), goal, {})
-        return policy.act(observation)
+        return TorchPolicy(env.layout, runner.learner.policy_module(goal), goal, {}).act
 
-    judge, seen = judge_of(act, watch), 0
+    judge, seen = judge_of(present, watch), 0
     while runner.steps < (steps or config.total_steps):
         runner.iterate()
         if runner.steps >= seen + LOOK_EVERY[OURS]:
@@ -215,7 +220,7 @@ def _train_peer(arguments: dict[str, Any], seed: int, judge_of: JudgeOf) -> tupl
         whole = {"observation": observation, "achieved_goal": place, "desired_goal": goal}
         return model.predict(env.scaled(whole), deterministic=True)[0]
 
-    judge = judge_of(act, watch)
+    judge = judge_of(lambda: act, watch)
 
     class Looks(BaseCallback):
         def _on_step(self) -> bool:

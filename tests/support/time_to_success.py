@@ -15,6 +15,9 @@ from typing import Any
 
 import numpy as np
 
+Look = tuple[int, float, float, float]
+"""Environment steps, wall-clock and processor seconds of training, and the share of successes."""
+
 
 def seconds_of_processor() -> float:
     """Of this process and of the programs that it has called, such as a compiler."""
@@ -93,9 +96,10 @@ class Judge:
         bar: Least share.
         in_a_row: So that one lucky look is not enough.
         limit_s: Wall-clock seconds of training after which it is given up, or None.
+        say: Is told every look.
 
     Attributes:
-        curve: (steps, wall-clock s, processor s, share) of every look.
+        curve: Every look.
         solved: That of the first look of the row, or None.
     """
 
@@ -107,17 +111,19 @@ class Judge:
         bar: float = 0.9,
         in_a_row: int = 2,
         limit_s: float | None = None,
+        say: Callable[[Look], object] = lambda look: None,
     ) -> None:
-        self._look, self._watch = look, watch
+        self._look, self._watch, self._say = look, watch, say
         self._bar, self._in_a_row, self._limit_s = bar, in_a_row, limit_s
-        self.curve: list[tuple[int, float, float, float]] = []
-        self.solved: tuple[int, float, float, float] | None = None
+        self.curve: list[Look] = []
+        self.solved: Look | None = None
 
     def over(self, steps: int) -> bool:
         """Look at the policy after so many environment steps; whether training may end."""
         wall, processor = self._watch.read()
         share = self._watch.paused(self._look)
         self.curve.append((steps, round(wall, 3), round(processor, 3), share))
+        self._say(self.curve[-1])
         row = self._row()
         if len(row) >= self._in_a_row:
             self.solved = row[0]
@@ -127,7 +133,7 @@ class Judge:
         # What succeeded within the limit may still show that this was no luck.
         return not row or row[0][1] > self._limit_s
 
-    def _row(self) -> list[tuple[int, float, float, float]]:
+    def _row(self) -> list[Look]:
         """The looks since the last one that was not good enough."""
         short = [k for k, (*_, share) in enumerate(self.curve) if share < self._bar]
         return self.curve[short[-1] + 1 if short else 0 :]
