@@ -15,7 +15,7 @@ so that other load on the machine counts little:
 - `stable_baselines3`: its `train`: networks of the same size without LayerNorm, one-step targets,
   batches drawn from its own, flat replay.
 
-Ratios are of medians over the turns, with the smallest and the largest of the ratios within a turn.
+Ratios are of medians over the turns; `within_turns` has the smallest and the largest within a turn.
 `ratio_to_eager` is `compiled` / `straightforward`, time per update; `share_of_gemm` is `gemm` /
 `compiled`; `ratio_to_stable_baselines3` is how many times as many updates as that peer makes.
 Compare `with_replay` for what a user gets and `compiled_plain` for the update alone. Where nothing
@@ -28,6 +28,7 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -51,7 +52,7 @@ Runs = dict[str, Callable[[int], None]]
 """By name: makes so many updates."""
 Hidden = tuple[int, ...]
 
-SIZES: tuple[tuple[Hidden, int], ...] = (((128, 128), 256), ((64, 64), 256), ((128, 128), 1024))
+SIZES = ("128-128/256", "64-64/256", "128-128/1024")
 """Hidden layers and transitions of a batch."""
 ACTIONS = 3
 FIRST_UPDATES = 20
@@ -171,18 +172,14 @@ def make_all(hidden: Hidden, batch_size: int, engine: str) -> tuple[Runs, int]:
         engine: What `compiled` is here, see `SacConfig`.
     """
     config = SacConfig(hidden=hidden, batch_size=batch_size, engine=engine, compile_after=2)
-    eager = SacConfig(hidden=hidden, batch_size=batch_size, engine="eager")
-    plain = SacConfig(
-        hidden=hidden, batch_size=batch_size, engine=engine, compile_after=2, layer_norm=False
-    )
     with_replay, inputs = make_with_replay(config)
     batch = random_batch(batch_size, inputs)
     return {
         "compiled": make_ours(config, batch),
-        "eager": make_ours(eager, batch),
+        "eager": make_ours(replace(config, engine="eager"), batch),
         "straightforward": make_straightforward(config, batch),
         "gemm": make_gemm(hidden, batch),
-        "compiled_plain": make_ours(plain, batch),
+        "compiled_plain": make_ours(replace(config, layer_norm=False), batch),
         "with_replay": with_replay,
         "stable_baselines3": make_peer(hidden, batch_size, inputs),
     }, inputs
@@ -199,18 +196,46 @@ def take_turns(runs: Runs, updates: int, rounds: int) -> dict[str, list[float]]:
     return times
 
 
-def ratio(times: dict[str, list[float]], one: str, other: str) -> dict[str, Any]:
-    """Of the medians of two, and the smallest and the largest within a turn."""
+def ratio(times: dict[str, list[float]], one: str, other: str) -> tuple[float, list[float]]:
+    """Of the medians of two, and the smallest and the largest of those within a turn."""
     within = [a / b for a, b in zip(times[one], times[other], strict=True)]
     of_medians = statistics.median(times[one]) / statistics.median(times[other])
-    return {
-        "ratio": round(of_medians, 3),
-        "within_turns": [round(min(within), 3), round(max(within), 3)],
+    return round(of_medians, 3), [round(min(within), 3), round(max(within), 3)]
+
+
+def ratios(times: dict[str, list[float]]) -> dict[str, Any]:
+    """Those that the document tells, and `within_turns` their spread."""
+    single = {
+        "ratio_to_eager": ratio(times, "compiled", "straightforward"),
+        "ratio_to_own_eager": ratio(times, "compiled", "eager"),
+        "share_of_gemm": ratio(times, "gemm", "compiled"),
     }
+    names = ("compiled", "compiled_plain", "eager", "with_replay")
+    peer = {name: ratio(times, "stable_baselines3", name) for name in names}
+    to_peer = "ratio_to_stable_baselines3"
+    return {
+        **{name: value for name, (value, _) in single.items()},
+        to_peer: {name: value for name, (value, _) in peer.items()},
+        "within_turns": {
+            **{name: spread for name, (_, spread) in single.items()},
+            to_peer: {name: spread for name, (_, spread) in peer.items()},
+        },
+    }
+
+
+def size_of(text: str) -> tuple[Hidden, int]:
+    """Hidden layers and transitions of a batch, from what `SIZES` has.
+
+    Raises:
+        ValueError: It is no such text.
+    """
+    hidden, batch_size = text.split("/")
+    return tuple(int(units) for units in hidden.split("-")), int(batch_size)
 
 
 def compare(hidden: Hidden, batch_size: int, updates: int, rounds: int) -> dict[str, Any]:
     """What the document says of one size."""
+    torch.compiler.reset()  # or what it compiles now is for shapes that change
     engine = Sac(SacConfig(), 1, 1, 0).engine
     runs, inputs = make_all(hidden, batch_size, engine)
     first = {}
@@ -221,28 +246,17 @@ def compare(hidden: Hidden, batch_size: int, updates: int, rounds: int) -> dict[
         progress(f"  {name}: ready after {first[name]} s")
     times = take_turns(runs, updates, rounds)
     medians = {name: statistics.median(values) for name, values in times.items()}
-    peer = "stable_baselines3"
     return {
         "hidden": hidden,
         "batch_size": batch_size,
         "inputs": inputs,
         "engine": engine,
         "milliseconds_per_update": {
-            name: {
-                "median": round(1e3 * medians[name], 3),
-                "smallest": round(1e3 * min(values), 3),
-                "largest": round(1e3 * max(values), 3),
-            }
+            name: [round(1e3 * value, 3) for value in (min(values), medians[name], max(values))]
             for name, values in times.items()
         },
         "updates_per_second": {name: round(1.0 / value, 1) for name, value in medians.items()},
-        "ratio_to_eager": ratio(times, "compiled", "straightforward"),
-        "ratio_to_own_eager": ratio(times, "compiled", "eager"),
-        "share_of_gemm": ratio(times, "gemm", "compiled"),
-        "ratio_to_stable_baselines3": {
-            name: ratio(times, peer, name)
-            for name in ("compiled", "compiled_plain", "eager", "with_replay")
-        },
+        **ratios(times),
         "seconds_to_first": first,
     }
 
@@ -253,12 +267,19 @@ def main() -> None:
     parser.add_argument(
         "--transitions", type=int, default=20_000, help="in the batches of a turn: its length"
     )
+    parser.add_argument(
+        "--sizes", nargs="+", default=[*SIZES], help="hidden layers and transitions of a batch"
+    )
     options = parser.parse_args()
+    try:
+        sizes = [size_of(text) for text in options.sizes]
+    except ValueError:
+        parser.error(f"--sizes {' '.join(options.sizes)}: they look like {SIZES[0]}")
     torch.manual_seed(options.seed)
     torch.set_num_threads(1)
     keep_freed_memory()
     data: dict[str, Any] = {}
-    for hidden, batch_size in SIZES:
+    for hidden, batch_size in sizes:
         name = f"{'-'.join(map(str, hidden))}_batch_{batch_size}"
         progress(f"{name}:")
         updates = max(1, options.transitions // batch_size)
