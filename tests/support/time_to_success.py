@@ -179,7 +179,7 @@ def _against(own: dict[int, dict[str, Any]], theirs: dict[int, dict[str, Any]]) 
             "seed": one["seed"],
             "speedup": _times(one, other, "wall_s"),
             "speedup_processor": _times(one, other, "processor_s"),
-            "lower_bound": not other["solved"],
+            "lower_bound": bool(one["solved"]) and not other["solved"],
         }
         for one, other in pairs
     ]
