@@ -6,8 +6,8 @@ For several sizes of networks and batches, on one thread, these take turns; time
 so that other load on the machine counts little:
 
 - `compiled`, `eager`: our update with both engines; critics with LayerNorm, on a ready batch.
-- `straightforward`: the same update in plain torch (`tests/support/plain_sac.py`), the same batch.
-  A test holds that it computes the same (`tests/train/sac/test_witness.py`).
+- `straightforward`: the same update in plain torch (`tests/support/plain_sac.py`), on the same
+  batch, with our allocator settings. `tests/train/sac/test_witness.py` holds that it is the same.
 - `gemm`: the matrix products of an update, bare (`tests/support/update_products.py`). The same
   test holds that they are those of our update.
 - `compiled_plain`: as `compiled`, critics without LayerNorm.
