@@ -49,6 +49,7 @@ PEERS: dict[str, dict[str, Any]] = {
         "gamma": 0.98,
         "learning_rate": 1.5e-3,
         "tau": 0.005,
+        "learning_starts": 1_000,
         "replay_buffer_kwargs": {"n_sampled_goal": 4, "goal_selection_strategy": "episode"},
     },
     "far": {**_REACH, "gamma": 0.99},
@@ -59,7 +60,7 @@ PEERS: dict[str, dict[str, Any]] = {
   of `normalize` (running moments, which a goal that never changes does not have) inputs are scaled
   by the ranges of the layout, as ours are.
 - `parking`: `hyperparams/tqc.yml`, parking-v0, its only entry of a point in a plane. There it is
-  for TQC, a relative of SAC.
+  for TQC, a relative of SAC, and learning starts earlier than an episode of ours ends.
 - `far`: `fetch-reach` with the discount of our preset. The way to the target takes some 130 steps,
   after which the zoo's leaves a thousandth.
 
