@@ -95,7 +95,7 @@ class CompiledUpdate:
             inductor.compile_threads = 1
             threads = torch.get_num_threads()
             options["options"] = {"cpp_wrapper": True, "cpp.threads": threads}
-        self._update: Callable[..., tuple[list[Tensors], Tensor]] = cast(
+        self._update: Callable[..., Tensor] = cast(
             Any, torch.compile(_whole_update(sac), fullgraph=True, backend=backend, **options)
         )
 
@@ -114,23 +114,22 @@ class CompiledUpdate:
         given = batch.inputs, batch.actions, batch.returns, batch.next_inputs, batch.discounts
         with torch.no_grad():
             try:
-                new, scalars = self._update(self._state, self._steps[0], given, target_noise, noise)
+                scalars = self._update(self._state, self._steps[0], given, target_noise, noise)
             except RuntimeError as error:  # all that torch raises of compiling is one
                 words = (str(error).strip().splitlines() or ["no reason given"])[0]
                 raise ConfigurationError(
                     f"the updates could not be compiled ({words}); begin another run with what "
                     "there is: --start-from RUN --learner.engine eager"
                 ) from error
-            torch._foreach_copy_(
-                [tensor for group in self._state for tensor in group],
-                [tensor for group in new for tensor in group],
-            )
         names = ("critic_loss", "actor_loss", "policy_entropy", "temperature", "value")
         return dict(zip(names, scalars.unbind(), strict=True))
 
 
-def _whole_update(sac: Sac) -> Callable[..., tuple[list[Tensors], Tensor]]:
-    """The function that is compiled; of the networks it uses the structure alone."""
+def _whole_update(sac: Sac) -> Callable[..., Tensor]:
+    """The function that is compiled; of the networks it uses the structure alone.
+
+    It changes the state in place: the loop that computes a new value writes it where it belongs.
+    """
     config, target_entropy = sac.config, sac.target_entropy
     actor_names = [name for name, _ in sac.actor.named_parameters()]
     critic_names = [name for name, _ in sac.critics.named_parameters()]
@@ -152,7 +151,7 @@ def _whole_update(sac: Sac) -> Callable[..., tuple[list[Tensors], Tensor]]:
         batch: tuple[Tensor, ...],
         target_noise: Tensor,
         noise: Tensor,
-    ) -> tuple[list[Tensors], Tensor]:
+    ) -> Tensor:
         own, own_mean, own_square, critics, mean, square, target = state
         actor, log_temperature = own[:-1], own[-1]
         inputs, actions, returns, next_inputs, discounts = batch
@@ -181,8 +180,11 @@ def _whole_update(sac: Sac) -> Callable[..., tuple[list[Tensors], Tensor]]:
             own, grads, own_mean, own_square, step, config.learning_rate
         )
         target = [t + config.polyak * (c - t) for t, c in zip(target, critics, strict=True)]
-        scalars = torch.stack((loss, own_loss, entropy, temperature, predicted))
-        return [own, own_mean, own_square, critics, mean, square, target], scalars
+        new = [own, own_mean, own_square, critics, mean, square, target]
+        for tensors, results in zip(state, new, strict=True):
+            for tensor, result in zip(tensors, results, strict=True):
+                tensor.copy_(result)
+        return torch.stack((loss, own_loss, entropy, temperature, predicted))
 
     return update
 
