@@ -19,7 +19,7 @@ from skewmi.child import child_command, told, wait_for_line
 
 _LAST_WORDS_S = 0.5
 """A child that is not ready and has said why is about to end; otherwise it hangs."""
-_WORK_S = 0.05
+WORK_S = 0.05
 """Processor time that is work, and not the timers of a library in a process that hangs."""
 
 
@@ -86,13 +86,13 @@ class ChildProcess:
             self.process.stdin.close()
 
     def is_working(self) -> bool:
-        """Whether the process has used the processor, by `_WORK_S`, since this was asked last.
+        """Whether the process has used the processor, by `WORK_S`, since this was asked last.
 
         One that hangs has not; one that a busy computer leaves little time has. False where the
         system does not tell (it does in `/proc` on Linux).
         """
         before, self._worked_s = self._worked_s, _processor_s(self.process.pid)
-        return self._worked_s >= before + _WORK_S
+        return self._worked_s >= before + WORK_S
 
     def wait(self, idle_s: float, longest_s: float) -> int | None:
         """Wait for the end of the process for as long as it works.

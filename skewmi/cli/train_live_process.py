@@ -13,11 +13,10 @@ import json
 import os
 import sys
 import threading
-import time
 from pathlib import Path
 
 from skewmi.child import tell_parent
-from skewmi.deploy.replay.live_child import come_last, failed
+from skewmi.deploy.replay.live_child import come_last, failed, wait_until_idle
 from skewmi.deploy.replay.streams import Streams
 from skewmi.errors import SkewmiError
 from skewmi.evaluation.training_view import TrainingView
@@ -69,7 +68,7 @@ def main() -> int:
     def wait_for_end() -> None:
         sys.stdin.buffer.read()
         ended.set()
-        time.sleep(_GIVE_UP_S)
+        wait_until_idle(_GIVE_UP_S)
         sys.stderr.write("the viewer took too long\n")
         os._exit(1)
 

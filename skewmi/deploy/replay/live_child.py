@@ -10,19 +10,22 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import TracebackType
 from typing import Any, Generic, Self, TypeVar
 
-from skewmi.child_process import ChildProcess, ChildStartError
+from skewmi.child_process import WORK_S, ChildProcess, ChildStartError
 from skewmi.deploy.replay.live_options import LiveOptions
 from skewmi.errors import ConfigurationError
 
 HUNG = "the live view hung and was ended"
 _NICENESS = 10
 """Drawing waits for what is shown; a viewer that is spawned inherits it."""
+LONGEST_S = 50.0
+"""How long drawing may go on after the end of what is shown."""
 
 Child = TypeVar("Child", bound=ChildProcess)
 
@@ -89,6 +92,22 @@ def come_last() -> None:
     """In the child: leave processor time to what is shown."""
     with contextlib.suppress(OSError):
         os.nice(_NICENESS)
+
+
+def wait_until_idle(idle_s: float) -> None:
+    """In the child: wait until nothing has been done for a while, or for `LONGEST_S`.
+
+    A viewer that takes nothing leaves this process waiting; a busy computer only makes it slow.
+
+    Args:
+        idle_s: For how long, s.
+    """
+    until = time.monotonic() + LONGEST_S
+    while time.monotonic() < until:
+        before = time.process_time()
+        time.sleep(idle_s)
+        if time.process_time() - before < WORK_S:
+            return
 
 
 def failed(error: Exception) -> int:

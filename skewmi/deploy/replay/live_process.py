@@ -19,7 +19,7 @@ from skewmi.child import tell_parent
 from skewmi.deploy.recording.listener import Counts, Input, listen
 from skewmi.deploy.replay.assembler import RunAssembler
 from skewmi.deploy.replay.data import Subject
-from skewmi.deploy.replay.live_child import come_last, failed
+from skewmi.deploy.replay.live_child import come_last, failed, wait_until_idle
 from skewmi.deploy.replay.streams import Streams
 from skewmi.deploy.replay.view import RunView
 from skewmi.deploy.wire.topics import TOPICS, YUMI_CONTROLLER_STATE
@@ -85,7 +85,7 @@ def main() -> int:
     opened: list[Streams] = []
 
     def give_up() -> None:
-        time.sleep(_GIVE_UP_S)
+        wait_until_idle(_GIVE_UP_S)
         for streams in opened:
             streams.finish()
         os._exit(1)

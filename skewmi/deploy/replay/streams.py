@@ -9,9 +9,11 @@ from typing import Any
 
 import rerun as rr
 
+from skewmi.child_process import WORK_S
 from skewmi.deploy.replay import viewer, web
 
 _FLUSH_TIMEOUT_S = 3.0
+_FLUSH_LONGEST_S = 30.0
 
 
 class Streams:
@@ -54,12 +56,30 @@ class Streams:
         """Send what is left, the file first; whether everything was taken in time."""
         for stream in self.all:
             try:
-                stream.flush(timeout_sec=_FLUSH_TIMEOUT_S)
+                _flush(stream)
                 stream.disconnect()
             except (RuntimeError, ValueError) as error:
                 sys.stderr.write(f"{' '.join(str(error).split())}\n")
                 return False
         return True
+
+
+def _flush(stream: Any) -> None:
+    """Send what is left, for as long as this process gets on with it.
+
+    Raises:
+        RuntimeError, ValueError: It is not taken.
+    """
+    until = time.monotonic() + _FLUSH_LONGEST_S
+    while True:
+        before = time.process_time()
+        try:
+            stream.flush(timeout_sec=_FLUSH_TIMEOUT_S)
+            return
+        except (RuntimeError, ValueError):
+            idle = time.process_time() - before < WORK_S
+            if idle or time.monotonic() > until:
+                raise
 
 
 def _open(application: str, name: str, sink: Any) -> Any:
