@@ -16,7 +16,8 @@ which the same is known: by induction there is always a stop that has been check
 
 No lock-up: near a joint bound or a face of the box the velocities are cut beforehand to what can
 be stopped, so that the check rarely fails; when it does, the shaped command is put back to where
-the braking hand is, and motion away from the obstacle starts from there.
+the braking hand is, and motion away from the obstacle starts from there. What is tried next is
+slower by half, and again, until it passes: from rest the same attempt would fail for ever.
 """
 
 from __future__ import annotations
@@ -47,6 +48,12 @@ LEASH = 0.010
 
 TOLERANCE_SHARE = 0.95
 """Part of the checker's workspace tolerance and tool speed that plans use."""
+
+HASTE_LOST, HASTE_REGAINED = 0.5, 1.5
+"""By what the joints' velocities are multiplied after a cycle that was held back, and after each
+that was not until they are their own again."""
+
+LEAST_HASTE = 2.0**-10
 
 _REST = np.zeros(7)
 
@@ -86,6 +93,7 @@ class Planner:
         # error that the feedback should catch up with, it would overshoot every stop.
         self._shaped = deque([self._hand.position_w], 1 + self._joints.lag_steps)
         self._chunk: JointTrajectory | None = None
+        self._haste = 1.0
         self.held_back: str | None = None
         """Why the last `step` gave the rest of the chunk before and nothing new, or None."""
 
@@ -126,6 +134,7 @@ class Planner:
         self._reference = Reference(self._hand.position_w)
         self._smoothed.rest(self._reference.position_w)
         self._chunk = JointTrajectory.resting(q, CYCLE_TICKS + 1)
+        self._haste = 1.0
         self.held_back = None
 
     def set_target(self, position_w: Array, duration_s: float) -> None:
@@ -204,6 +213,9 @@ class Planner:
         if self.held_back is not None:
             chunk = previous.rest_of(splice, CYCLE_TICKS + 1)
             self._resume(chunk, CYCLE_TICKS)
+            self._haste = max(LEAST_HASTE, HASTE_LOST * self._haste)
+        else:
+            self._haste = min(1.0, HASTE_REGAINED * self._haste)
         self._chunk = chunk
         return chunk
 
@@ -214,7 +226,7 @@ class Planner:
         self._advance_reference()
         hand.step(self._smoothed, at, LEASH)
         self._shaped.append(hand.position_w)
-        low, high = joints.velocity_bounds()
+        low, high = (self._haste * bound for bound in joints.velocity_bounds())
         rate = joints.feedback_rate(FEEDBACK_RATE)
         wanted = self._ik.solve(due_w - self._base, hand.velocity_w, low, high, rate)
         joints.step(_REST if wanted is None else wanted, low, high)

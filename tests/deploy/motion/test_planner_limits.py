@@ -14,6 +14,7 @@ from planned_runs import KINEMATICS, START, follow
 from slow_limits import slowed
 
 from skewmi.deploy.motion.cartesian_shaper import CartesianShaper, Reference
+from skewmi.deploy.motion.joint_shaper import HARD_MARGIN
 from skewmi.deploy.motion.planner import Planner
 from skewmi.deploy.safety.limits import ChunkChecker
 from skewmi.policy_io import Workspace
@@ -129,3 +130,36 @@ def test_shaped_command_never_leaves_the_box(seed: int) -> None:
         assert (np.abs(a) <= acceleration * (1 + 1e-9)).all()
         assert (np.abs(a - before[1]) <= jerk * 0.004 * (1 + 1e-6)).all()
         before = v, a
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    joints=st.sets(st.integers(0, 6), min_size=1, max_size=4),
+    seed=st.integers(0, 2**32 - 1),
+    profile=st.sampled_from(["lab", "careful"]),
+)
+def test_from_rest_beside_any_bounds_nothing_is_held_back_for_long(
+    joints: set[int], seed: int, profile: str
+) -> None:
+    """Joints rest up to 6 mrad from where they may be, some within a microradian of it."""
+    rng = np.random.default_rng(seed)
+    bounds = limits.profile(profile)
+    lower, upper = bounds.position_lower.copy(), bounds.position_upper.copy()
+    for joint in joints:
+        room = HARD_MARGIN + 10.0 ** rng.uniform(-6.0, -2.2)
+        if rng.random() < 0.5:
+            lower[joint] = START[joint] - room
+        else:
+            upper[joint] = START[joint] + room
+    planner = Planner(
+        planner_scenes.press_workspace(START),
+        replace(bounds, position_lower=lower, position_upper=upper),
+    )
+    planner.reset(START)
+    planner.set_target(rng.uniform(planner.workspace.low, planner.workspace.high), 0.5)
+    in_a_row = longest = 0
+    for _ in range(60):
+        planner.step()
+        in_a_row = 0 if planner.held_back is None else in_a_row + 1
+        longest = max(longest, in_a_row)
+    assert longest <= 12

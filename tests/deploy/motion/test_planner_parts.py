@@ -136,6 +136,14 @@ def test_an_arm_that_is_caught_gives_way_to_its_posture() -> None:
     assert result["return_mm"] < 1.0
 
 
+def test_an_arm_that_rests_beside_a_bound_finds_a_slower_way_out() -> None:
+    """The same attempt was refused for ever: a joint beside its bound wanted to be too fast."""
+    result = run_round(3795)
+    assert result["breach"] is None
+    assert result["scene"] == "tight lab"
+    assert result["return_mm"] < 1.0
+
+
 def test_fuzzing_goes_on_from_finished_rounds(tmp_path: Path) -> None:
     file = tmp_path / "rounds.jsonl"
     log = planner_fuzz.RoundLog(file, seed=7)
