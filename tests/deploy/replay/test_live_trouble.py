@@ -114,7 +114,7 @@ def test_viewer_that_dies_or_hangs_leaves_the_run_alone(
         )
         took_s = time.monotonic() - started
     assert report.episodes[0].steps == steps, report.as_dict()
-    assert took_s < 45.0
+    assert took_s < 150.0
     assert all("live view" in note for note in about_the_view(report))
     # The file beside the viewer is whole all the same, up to the last drawing: that one may be
     # under way when the view of a hung viewer is given up.
