@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from skewmi.cli.robot_flags import require_motion_options
 from skewmi.cli.task_flags import variation_option
 from skewmi.deploy.joint_motion import JointMotionReport, run_joint_motion
 from skewmi.deploy.motion_link import JointMotionOptions
-from skewmi.deploy.robot.description import RobotDescription
+from skewmi.deploy.robot.description import FLANGE_SPEED, RobotDescription
 from skewmi.deploy.wire.domain import ros_domain
 from skewmi.errors import ConfigurationError
 from skewmi.outputs import check_output
@@ -130,6 +130,9 @@ def planned(
     model = ServoModel(CONTACT_SERVO.kd / CONTACT_SERVO.kp, threads=2)
     limits = joint_limits.profile(options.limits)
     space = clear_space(described, limits)
+    # A bridge to a controller admits less than robots do otherwise: what runs on is bounded by it.
+    admitted = described.limits.get(FLANGE_SPEED, (asked.tcp_speed,))[0]
+    asked = replace(asked, tcp_speed=min(asked.tcp_speed, admitted))
     tell("choosing a motion")
     return choose_excitation(asked, limits, space, model, CONTACT_SERVO, tell=tell)
 
