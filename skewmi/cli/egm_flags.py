@@ -36,6 +36,8 @@ class EgmFlags:
     """IPv4 address that packets must come from; by default the first sender's."""
     egm_gain: float = _PROGRAM.gain
     """Position gain of the controller, 1/s: Default Proportional Position Gain in moc.cfg."""
+    egm_low_pass_hz: float = _PROGRAM.low_pass_hz
+    """LpFilter of the program, Hz."""
     egm_feed_forward: float = 1.0
     """Fraction of the plan's speed that is sent as speed reference, 0..1."""
     egm_run_on_limit_mm: float = 10.0
@@ -86,6 +88,7 @@ class EgmFlags:
         given = self.egm_comm_timeout_s
         return ProgramSettings(
             gain=self.egm_gain,
+            low_pass_hz=self.egm_low_pass_hz,
             ramp_in_s=self.egm_ramp_in_s,
             ramp_out_s=self.egm_ramp_out_s,
             comm_timeout_s=comm_timeout_s if given is None else given,

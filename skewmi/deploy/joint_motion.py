@@ -14,7 +14,11 @@ from dataclasses import dataclass, field, replace
 from skewmi.deploy.motion_link import JointMotionOptions, MetRobot, robot_link
 from skewmi.deploy.recording.reader import run_metadata
 from skewmi.deploy.recording.recorder import Recorder
-from skewmi.deploy.robot.description import RobotDescription, limit_values
+from skewmi.deploy.robot.description import (
+    RobotDescription,
+    limit_values,
+    recorded_facts,
+)
 from skewmi.deploy.safety.flange_space import CALIBRATION
 from skewmi.deploy.safety.limits import LimitUsage
 from skewmi.deploy.session.approach import Approach
@@ -146,9 +150,9 @@ def _recording(
         limits=limit_values(limits),
         scene=described.scene or None,
         task=described.task,
-        backend=described.backend,
         limit_profile=limits.name,
         robot_model_hash=yumi.MODEL_HASH,
+        **recorded_facts(described),
         **options.metadata,
     )
     recorder = Recorder.start(

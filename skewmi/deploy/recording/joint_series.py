@@ -69,6 +69,38 @@ class ExecutedReference:
         Raises:
             ConfigurationError: More than `MOST_MISSING_NS` are missing at once.
         """
+        self._require_whole()
+        first = -(-int(self.stamps_ns[0]) // GRID_NS) * GRID_NS
+        times = np.arange(first, int(self.stamps_ns[-1]) + 1, GRID_NS, dtype=np.int64)
+        return first, _between(self.stamps_ns, self.reference, times)
+
+    def by_cycles(self) -> tuple[float, NDArray[np.int64], JointTrajectory]:
+        """The reference of each of the robot's own cycles, those that are missing filled in.
+
+        Returns:
+            Length of a cycle, ns; the cycles that were recorded, counted from the first, shape
+            (n,); and the reference of every cycle from the first to the last.
+
+        Raises:
+            ConfigurationError: More than `MOST_MISSING_NS` are missing at once, or all but one.
+        """
+        self._require_whole()
+        if len(self.stamps_ns) < 3:
+            raise ConfigurationError("the recording has less than three cycles of the robot")
+        steps = np.diff(self.stamps_ns)
+        period_ns = float(np.median(steps))
+        counted = np.concatenate(([0], np.cumsum(np.maximum(np.round(steps / period_ns), 1))))
+        # Of the whole recording: a median of stamps is as coarse as the clock's corrections.
+        period_ns = float(np.polyfit(counted, self.stamps_ns - self.stamps_ns[0], 1)[0])
+        cycles = counted.astype(np.int64)
+        every = np.arange(cycles[-1] + 1)
+        times = np.interp(every, cycles, self.stamps_ns - self.stamps_ns[0])
+        filled = _between(
+            self.stamps_ns, self.reference, self.stamps_ns[0] + np.rint(times).astype(np.int64)
+        )
+        return period_ns, cycles, filled
+
+    def _require_whole(self) -> None:
         if self.longest_gap_ns > MOST_MISSING_NS:
             after = int(self.stamps_ns[int(np.argmax(np.diff(self.stamps_ns)))])
             raise ConfigurationError(
@@ -76,9 +108,6 @@ class ExecutedReference:
                 f"after stamp {after} ns; at most {MOST_MISSING_NS * 1e-6:g} ms are filled in: "
                 "record it again on a computer that is less busy"
             )
-        first = -(-int(self.stamps_ns[0]) // GRID_NS) * GRID_NS
-        times = np.arange(first, int(self.stamps_ns[-1]) + 1, GRID_NS, dtype=np.int64)
-        return first, _between(self.stamps_ns, self.reference, times)
 
 
 @dataclass(frozen=True, eq=False)

@@ -225,6 +225,14 @@ class LinkVaries(Protocol):
 
 
 @runtime_checkable
+class GuidedByEgm(Protocol):
+    """A robot whose controller follows commands by a law of its own, besides `RobotBackend`."""
+
+    def egm(self) -> Mapping[str, float]:
+        """Constants of the law, as `RobotDescription.egm`."""
+
+
+@runtime_checkable
 class TellsContact(Protocol):
     """A robot that knows what it touches. For simulated robots, besides `RobotBackend`."""
 

@@ -14,6 +14,11 @@ from skewmi.trajectory import GRID_NS
 FLANGE_SPEED = "flange_speed"
 """Key of `RobotDescription.limits`."""
 
+EGM = "egm"
+"""Key of a recording's metadata: `RobotDescription.egm`, a JSON object."""
+ROBOT_CALIBRATION = "robot_calibration"
+"""Key of a recording's metadata: `RobotDescription.calibration`."""
+
 SCENE_REQUEST = b"scene"
 """Extra bytes of a describe request that ask for the scene's shapes, too."""
 
@@ -60,6 +65,9 @@ class RobotDescription:
     """Shapes of the scene, as `SceneGeometry.to_json`; only in answers to requests for it."""
     calibration: str = ""
     """Fingerprint of the calibration that its servos get feed-forward from; empty without one."""
+    egm: Mapping[str, float] = field(default_factory=dict)
+    """Of a controller behind EGM, as the robot server was told: `gain` (1/s) and `low_pass_hz` of
+    its law, and `speed_share`, the part of the plan's speed that it is sent. Empty for others."""
     publishers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Global ids of those whose states and status are to be believed, by topic, hexadecimal: the
     robot server's own, and whoever publishes the scene's states for it."""
@@ -105,6 +113,7 @@ class RobotDescription:
             content["stops"] = int(content["stops"])
             content["contact"] = {k: float(v) for k, v in content["contact"].items()}
             content["limits"] = {k: tuple(v) for k, v in content["limits"].items()}
+            content["egm"] = {k: float(v) for k, v in content.get("egm", {}).items()}
             publishers = content.get("publishers", {})
             content["publishers"] = {k: tuple(map(str, v)) for k, v in publishers.items()}
             workspaces = content.get("workspaces", {})
@@ -119,6 +128,14 @@ class RobotDescription:
                 f"the robot server's description cannot be read ({error}); "
                 "is it of another version of skewmi?"
             ) from error
+
+
+def recorded_facts(description: RobotDescription) -> dict[str, str]:
+    """What recordings keep of a robot server, so that it is known what their commands met."""
+    facts = {"backend": description.backend, ROBOT_CALIBRATION: description.calibration}
+    if description.egm:
+        facts[EGM] = json.dumps(dict(description.egm))
+    return facts
 
 
 def limit_values(limits: JointLimits) -> dict[str, tuple[float, ...]]:

@@ -14,7 +14,12 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 
 from skewmi.deploy.realtime import hot_loop
-from skewmi.deploy.robot.backend import BackendFaultError, RobotBackend, RobotState
+from skewmi.deploy.robot.backend import (
+    BackendFaultError,
+    GuidedByEgm,
+    RobotBackend,
+    RobotState,
+)
 from skewmi.deploy.robot.controller import RobotController
 from skewmi.deploy.robot.description import (
     FLANGE_SPEED,
@@ -224,6 +229,7 @@ class RobotServer:
             workspaces=workspaces_told(scene, self._spaces),
             workspace=controller.lease.workspace,
             calibration=self._calibration,
+            egm=backend.egm() if isinstance(backend, GuidedByEgm) else {},
         )
 
     def _describe(self, request: Request) -> TriggerReply:
