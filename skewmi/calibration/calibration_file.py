@@ -24,6 +24,7 @@ from skewmi.calibration.calibration_values import (
     sequence_of,
     text_of,
 )
+from skewmi.calibration.egm_part import EgmCalibration
 from skewmi.errors import ConfigurationError, NotFoundError
 from skewmi.outputs import check_output, written_aside
 from skewmi.robot_models import yumi
@@ -34,11 +35,12 @@ LARGEST_FILE = 100_000
 """Bytes; a calibration has some thousand."""
 
 _KEYS = ("schema", "robot_model", "created", "version", "recordings", "checks", "warnings")
-_SECTIONS = ("servo", "scene")
+_SECTIONS = ("servo", "egm", "scene")
 
 __all__ = [
     "Calibration",
     "Constant",
+    "EgmCalibration",
     "RecordingReference",
     "SceneCalibration",
     "ServoCalibration",
@@ -54,7 +56,10 @@ class Calibration:
     Attributes:
         created: When, UTC, ISO 8601.
         version: Of skewmi that made it.
-        servo: Of the right arm; None if it was not calibrated.
+        servo: Of the right arm, whose commands are the servos' targets; None if it was not
+            calibrated.
+        egm: Of the right arm of a robot whose controller is guided by EGM; None if it is not, or
+            was not calibrated. A robot is one or the other.
         scene: Where it stands; None if it was not calibrated.
         recordings: It was made from.
         checks: Figures by name, such as residuals.
@@ -70,6 +75,7 @@ class Calibration:
     checks: Mapping[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     robot_model: str = yumi.MODEL_HASH
+    egm: EgmCalibration | None = None
 
     def __post_init__(self) -> None:
         if self.robot_model != yumi.MODEL_HASH:
@@ -77,10 +83,14 @@ class Calibration:
                 f"robot_model is {self.robot_model!r}, another robot model than this skewmi's "
                 f"{yumi.MODEL_HASH!r}; calibrate again"
             )
-        if self.servo is None and self.scene is None:
+        if self.servo is None and self.egm is None and self.scene is None:
             raise ConfigurationError(
-                f"it has neither of the sections {' and '.join(_SECTIONS)}; one at least must be "
-                "there"
+                f"it has neither of the sections {', '.join(_SECTIONS)}; one at least must be there"
+            )
+        if self.servo is not None and self.egm is not None:
+            raise ConfigurationError(
+                "it has both of the sections servo and egm; a robot's servos follow commands "
+                "themselves, or a controller guided by EGM does"
             )
         for name, value in (("created", self.created), ("version", self.version)):
             text_of(value, name)
@@ -100,6 +110,8 @@ class Calibration:
         }
         if self.servo is not None:
             content["servo"] = self.servo.as_mapping()
+        if self.egm is not None:
+            content["egm"] = self.egm.as_mapping()
         if self.scene is not None:
             content["scene"] = self.scene.as_mapping()
         content["checks"] = {name: float(value) for name, value in self.checks.items()}
@@ -119,13 +131,14 @@ class Calibration:
             raise ConfigurationError(f"schema is {schema!r}; this skewmi reads {SCHEMA!r}")
         checked_keys(entries, "the file", _KEYS, _SECTIONS)
         checks = mapping_of(entries["checks"], "checks")
-        servo, scene = entries.get("servo"), entries.get("scene")
+        servo, egm, scene = (entries.get(name) for name in _SECTIONS)
         return Calibration(
             created=text_of(entries["created"], "created"),
             version=text_of(entries["version"], "version"),
             robot_model=text_of(entries["robot_model"], "robot_model"),
             servo=None if servo is None else ServoCalibration.of_mapping(servo),
             scene=None if scene is None else SceneCalibration.of_mapping(scene),
+            egm=None if egm is None else EgmCalibration.of_mapping(egm),
             recordings=tuple(
                 RecordingReference.of_mapping(item, f"recordings[{number}]")
                 for number, item in enumerate(sequence_of(entries["recordings"], "recordings"))

@@ -105,7 +105,7 @@ class ServoIdentifier:
         if not recordings:
             raise ConfigurationError("servos are identified from one recording at least; got none")
         for recording in recordings:
-            _require_motion(recording)
+            require_motion(recording)
         self._model, self._recordings = model, tuple(recordings)
         self._unknowns = ServoUnknowns(nominal, free_armature)
         self._inertia = inertia_uncertainty
@@ -125,7 +125,7 @@ class ServoIdentifier:
             # Most of the way on a part of the motion, at a part of the time.
             part = ServoIdentifier(
                 self._model,
-                (_look(self._recordings[0]),),
+                (first_seconds(self._recordings[0]),),
                 nominal,
                 free_armature=self._unknowns.free_armature,
             )
@@ -146,14 +146,14 @@ class ServoIdentifier:
         return ServoIdentification(
             servo=self._unknowns.servo(vector),
             estimates=estimates(self._unknowns, vector, covariance, self._inertia),
-            residual_rms=_rms(residual),
+            residual_rms=joint_rms(residual),
             autocorrelation_time=np.array([autocorrelation_time(c) for c in residual.T]),
             nominal_rms=float(np.sqrt((far**2).mean())),
             seconds_of_motion=seconds,
         )
 
     def _start(self) -> Array:
-        return first_start(self._model, self._unknowns, _look(self._recordings[0]))
+        return first_start(self._model, self._unknowns, first_seconds(self._recordings[0]))
 
     def _settled(self, vector: Array, weight: Array) -> Array:
         """The minimum, sought again from elsewhere for joints whose residual is not noise.
@@ -204,7 +204,7 @@ class ServoIdentifier:
     def _minimised(self, vector: Array, weight: Array, iterations: int) -> Array:
         found, _ = minimize.least_squares(
             vector,
-            _columns(self._residual, weight),
+            weighted_columns(self._residual, weight),
             bounds=self._unknowns.bounds(),
             eps=STEP,
             max_iter=iterations,
@@ -233,7 +233,7 @@ class ServoIdentifier:
 def position_rms(model: ServoModel, servo: DelayedServo, recording: ServoRecording) -> Array:
     """RMS of simulated less measured positions of a recording, rad. Shape (7,)."""
     rows = recording.times_s >= recording.motion_begins_s + SETTLE_S
-    return _rms((model.positions([servo], recording)[0] - recording.positions)[rows])
+    return joint_rms((model.positions([servo], recording)[0] - recording.positions)[rows])
 
 
 def identify_servos(
@@ -256,7 +256,7 @@ def identify_servos(
     return identifier.run(start)
 
 
-def _columns(residual: Callable[[Array], Array], weight: Array) -> Callable[[Array], Array]:
+def weighted_columns(residual: Callable[[Array], Array], weight: Array) -> Callable[[Array], Array]:
     """As the optimiser wants it: (p, k) -> (7 m, k)."""
 
     def weighted(vectors: Array) -> Array:
@@ -266,17 +266,23 @@ def _columns(residual: Callable[[Array], Array], weight: Array) -> Callable[[Arr
     return weighted
 
 
-def _look(recording: ServoRecording) -> ServoRecording:
-    """The first seconds of a motion."""
+def first_seconds(recording: ServoRecording) -> ServoRecording:
+    """The part of a motion that a start is judged by."""
     return recording.shortened(recording.motion_begins_s + LOOK_S)
 
 
-def _rms(residual: Array) -> Array:
+def joint_rms(residual: Array) -> Array:
+    """Root mean square over all samples. (m, 7) -> (7,)."""
     rms: Array = np.sqrt((residual**2).mean(axis=0))
     return rms
 
 
-def _require_motion(recording: ServoRecording) -> None:
+def require_motion(recording: ServoRecording) -> None:
+    """See that all joints move, long enough.
+
+    Raises:
+        ConfigurationError: They do not.
+    """
     still = np.flatnonzero(np.ptp(recording.commands.q, axis=0) < 1e-3)
     if still.size:
         raise ConfigurationError(

@@ -95,17 +95,7 @@ class ServoModel:
             SimulationError: A candidate's states are not finite.
         """
         q, v = self.states(candidates, recording.commands, recording.start)
-        at = recording.times_s / GRID_S
-        index = np.clip(np.floor(at + 1e-6).astype(np.int64), 0, q.shape[1] - 2)
-        u = np.clip(at - index, 0.0, 1.0)[:, None]
-        # The cubic through two states: positions between steps as exact as the steps.
-        q0, q1 = q[:, index], q[:, index + 1]
-        v0, v1 = GRID_S * v[:, index], GRID_S * v[:, index + 1]
-        rest = q1 - q0
-        between: Array = q0 + u * (
-            v0 + u * ((3.0 * rest - 2.0 * v0 - v1) + u * (v0 + v1 - 2.0 * rest))
-        )
-        return between
+        return between_states(q, v, recording.times_s)
 
     def states(
         self, candidates: Sequence[DelayedServo], commands: JointTrajectory, start: Array
@@ -125,14 +115,32 @@ class ServoModel:
         Raises:
             SimulationError: A candidate's states are not finite.
         """
-        models = [self._with(candidate.parameters) for candidate in candidates]
-        nq, count, steps = self._model.nq, len(models), len(commands) - 1
+        target = commands.q + self.velocity_lead * commands.v
+        late = np.array([late_targets(target, candidate.delay_s) for candidate in candidates])
+        return self.driven([candidate.parameters for candidate in candidates], late, start)
+
+    def driven(
+        self, servos: Sequence[ServoParameters], targets: Array, start: Array
+    ) -> tuple[Array, Array]:
+        """As `states`, each of the servos with targets of its own.
+
+        Args:
+            servos: c of them.
+            targets: What they get at every step, rad. Shape (c, n, 7).
+            start: Where the arm rests, rad. Shape (7,).
+
+        Returns:
+            Positions (rad) and velocities (rad/s). Each shape (c, n, 7).
+
+        Raises:
+            SimulationError: States are not finite.
+        """
+        models = [self._with(parameters) for parameters in servos]
+        nq, count, steps = self._model.nq, len(models), targets.shape[1] - 1
         first = np.zeros((count, mujoco.mj_stateSize(self._model, _FULL)))
         first[:, 1 + self._qpos] = start
         controls = np.empty((count, steps, self._model.nu))
-        target = commands.q + self.velocity_lead * commands.v
-        for row, candidate in zip(controls, candidates, strict=True):
-            row[:, self._actuators] = _late(target, candidate.delay_s)[:steps]
+        controls[..., self._actuators] = targets[:, :steps]
         states, _ = rollout.rollout(models, self._data, first, controls)
         states = np.concatenate((first[:, None], states), axis=1)
         if not np.isfinite(states).all():
@@ -157,7 +165,7 @@ class ServoModel:
             SimulationError: The candidate's states are not finite.
         """
         (q,), (v,) = self.states([candidate], commands, start)
-        target = _late(commands.q + self.velocity_lead * commands.v, candidate.delay_s)
+        target = late_targets(commands.q + self.velocity_lead * commands.v, candidate.delay_s)
         return target - q, v
 
     def arm(self, parameters: ServoParameters) -> ModelledArm:
@@ -182,7 +190,7 @@ class ServoModel:
 _FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 
-def _late(target: Array, delay_s: float) -> Array:
+def late_targets(target: Array, delay_s: float) -> Array:
     """Targets at every step, late; between two of them linear. Shape (n, 7).
 
     A step holds its target for 4 ms. A delay that is no multiple of that is the mean of its two
@@ -193,6 +201,26 @@ def _late(target: Array, delay_s: float) -> Array:
     late: Array = (1.0 - part) * target[np.maximum(index, 0)]
     late += part * target[np.maximum(index - 1, 0)]
     return late
+
+
+def between_states(q: Array, v: Array, times_s: Array) -> Array:
+    """Positions between steps, by the cubic through two states: as exact as the steps.
+
+    Args:
+        q, v: At every step, rad and rad/s. Shape (c, n, 7).
+        times_s: s from the first step on. Shape (m,).
+
+    Returns:
+        rad. Shape (c, m, 7).
+    """
+    at = times_s / GRID_S
+    index = np.clip(np.floor(at + 1e-6).astype(np.int64), 0, q.shape[1] - 2)
+    u = np.clip(at - index, 0.0, 1.0)[:, None]
+    q0, q1 = q[:, index], q[:, index + 1]
+    v0, v1 = GRID_S * v[:, index], GRID_S * v[:, index + 1]
+    rest = q1 - q0
+    between: Array = q0 + u * (v0 + u * ((3.0 * rest - 2.0 * v0 - v1) + u * (v0 + v1 - 2.0 * rest)))
+    return between
 
 
 def _bare_arm() -> mujoco.MjModel:

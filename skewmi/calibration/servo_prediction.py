@@ -51,7 +51,7 @@ class ServoPrediction:
         """
         for target in commands.q + self._lead * commands.v:
             self._coming.append(target)
-            # As `servo_model._late`: between two commands linear.
+            # As `servo_model.late_targets`: between two commands linear.
             late = (1.0 - self._part) * self._coming[1] + self._part * self._coming[0]
             self._data.ctrl[self._arm.actuators] = late
             mujoco.mj_step(self._arm.model, self._data)

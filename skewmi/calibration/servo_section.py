@@ -25,14 +25,14 @@ LONG_MEMORY = 10.0
 
 def servo_section(found: ServoIdentification) -> ServoCalibration:
     """Every constant with its interval; the armature is marked as assumed unless identified."""
-    constants = {name: _constant(found.estimates[name]) for name in _UNITS if name != "armature"}
+    constants = {name: constant_of(found.estimates[name]) for name in _UNITS if name != "armature"}
     armature = found.estimates.get("armature")
     if armature is None:
         values = tuple(found.servo.parameters.armature.tolist())
         constants["armature"] = Constant(values, values, values, (True,) * 7)
     else:
-        constants["armature"] = _constant(armature)
-    return ServoCalibration(**constants, delay_ms=_constant(found.estimates["delay"], 1e3))
+        constants["armature"] = constant_of(armature)
+    return ServoCalibration(**constants, delay_ms=constant_of(found.estimates["delay"], 1e3))
 
 
 def servo_start(section: ServoCalibration, nominal: ServoParameters) -> DelayedServo:
@@ -81,7 +81,8 @@ def servo_warnings(found: ServoIdentification) -> tuple[str, ...]:
     return tuple(warnings)
 
 
-def _constant(estimate: Estimate, factor: float = 1.0) -> Constant:
+def constant_of(estimate: Estimate, factor: float = 1.0) -> Constant:
+    """An estimate as a file has it, in the unit that the factor makes."""
     value, low, high = (
         tuple((factor * part).tolist()) for part in (estimate.value, estimate.low, estimate.high)
     )

@@ -10,7 +10,8 @@ from typing import Annotated
 import tyro
 
 from skewmi.calibration.calibration_file import Calibration, read_calibration
-from skewmi.calibration.report import NamedRecording, report_html
+from skewmi.calibration.report import report_html
+from skewmi.calibration.report_parts import NamedRecording
 from skewmi.calibration.servo_model import ServoModel
 from skewmi.cli import numbers
 from skewmi.cli.calibrate_recordings import RecordedExcitation, read_excitation
@@ -72,7 +73,12 @@ def write_report(
     page = report_html(
         calibration,
         [
-            NamedRecording(e.reference.file, e.recording, e.reference.sha256 not in used)
+            NamedRecording(
+                e.reference.file,
+                e.recording,
+                e.reference.sha256 not in used,
+                None if e.egm is None else e.egm.recording,
+            )
             for e in recorded
         ],
         ServoModel(CONTACT_SERVO.kd / CONTACT_SERVO.kp, threads=threads),

@@ -1,4 +1,7 @@
-"""`skewmi calibrate servo`: stiffness, damping, friction and delay from recorded excitations."""
+"""`skewmi calibrate servo`: stiffness, damping, friction and delay from recorded excitations.
+
+Of recordings made through EGM, the controller's law with its lag as well: `calibrate_egm`.
+"""
 
 from __future__ import annotations
 
@@ -27,6 +30,8 @@ from skewmi.calibration.servo_model import DelayedServo, ServoModel
 from skewmi.calibration.servo_recording import ServoRecording
 from skewmi.calibration.servo_section import servo_section, servo_start, servo_warnings
 from skewmi.cli import numbers
+from skewmi.cli.calibrate_egm import egm_recordings, run_egm
+from skewmi.cli.calibrate_figures import figures, print_checks
 from skewmi.cli.calibrate_recordings import read_excitation
 from skewmi.errors import ConfigurationError
 from skewmi.outputs import check_output
@@ -47,8 +52,9 @@ OTHER_INERTIA = 0.05
 class Servo:
     """Identify the servos from recordings of `skewmi calibrate excite`.
 
-    Positions at 50 Hz and the executed commands are enough. Exit code 0 done, 1 something was not
-    identified, 2 bad input.
+    Positions at 50 Hz and the executed commands are enough. Of a controller that was guided by EGM,
+    which its robot server tells, law and lag are identified, too. Exit code 0 done, 1 something
+    was not identified, 2 bad input.
     """
 
     recordings: Annotated[tuple[Path, ...], tyro.conf.Positional]
@@ -86,6 +92,10 @@ def run_servo(options: Servo) -> int:
         start = None if before.servo is None else servo_start(before.servo, CONTACT_SERVO)
     recorded = [read_excitation(path) for path in options.recordings]
     held_out = None if options.held_out is None else read_excitation(options.held_out)
+    every = [*recorded, *([] if held_out is None else [held_out])]
+    egm = egm_recordings(every)
+    if egm:
+        return run_egm(options, every, egm, scene)
     model = ServoModel(CONTACT_SERVO.kd / CONTACT_SERVO.kp, threads=options.threads)
     console = Console(stderr=True)
     begun = time.perf_counter()
@@ -123,7 +133,6 @@ def run_servo(options: Servo) -> int:
     if options.report is not None:
         from skewmi.cli.calibrate_report import write_report
 
-        every = [*recorded, *([] if held_out is None else [held_out])]
         write_report(calibration, every, options.report, overwrite=options.overwrite)
     document = _document(options, found, calibration, seconds)
     if options.json:
@@ -188,23 +197,8 @@ def _document(
         "delay_ms" if name == "delay" else name: list(map(bool, estimate.identified))
         for name, estimate in found.estimates.items()
     }
-    checks = calibration.checks
-    held_out = {
-        f"rms_{name}_rad": checks[f"held_out_rms_{name}_rad"]
-        for name in ("nominal", "calibrated")
-        if f"held_out_rms_{name}_rad" in checks
-    }
-    return {
-        "servo": {**section, "identified": estimates},
-        "joint_noise_rad": checks["joint_noise_rad"],
-        "residual_rms_rad": found.residual_rms.tolist(),
-        "residual_autocorrelation": found.autocorrelation_time.tolist(),
-        "held_out": held_out or None,
-        "seconds_of_motion": found.seconds_of_motion,
-        "seconds_of_computing": seconds,
-        "warnings": list(calibration.warnings),
-        "out": str(options.out),
-    }
+    shown = {"servo": {**section, "identified": estimates}}
+    return shown | figures(options.out, found, calibration, seconds)
 
 
 def print_servo(calibration: Calibration, console: Console) -> None:
@@ -232,7 +226,4 @@ def print_servo(calibration: Calibration, console: Console) -> None:
     console.print(table)
     delay = servo.delay_ms
     console.print(f"delay {delay.value[0]:.2f} ms ({delay.low[0]:.2f} to {delay.high[0]:.2f})")
-    for name, value in calibration.checks.items():
-        console.print(f"{name}: {value:.4g}")
-    for warning in calibration.warnings:
-        console.print(f"warning: {warning}", markup=False)
+    print_checks(calibration, console)

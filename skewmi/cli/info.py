@@ -117,7 +117,7 @@ def _calibration(path: Path) -> dict[str, Any]:
     from skewmi.calibration.calibration_file import read_calibration
 
     known = read_calibration(path)
-    sections = {"servo": known.servo, "scene": known.scene}
+    sections = {"servo": known.servo, "egm": known.egm, "scene": known.scene}
     told: dict[str, Any] = {
         "created": known.created,
         "version": known.version,
