@@ -22,6 +22,7 @@ from collections import deque
 
 import numpy as np
 
+from skewmi.calibration.egm_prediction import EgmPrediction
 from skewmi.calibration.finger_contact import TIP
 from skewmi.calibration.servo_prediction import ServoPrediction
 from skewmi.robot_models.kinematics import ArmKinematics
@@ -74,7 +75,9 @@ class ContactWatch:
         deviation: By how much the finger stays behind, m.
     """
 
-    def __init__(self, prediction: ServoPrediction, threshold: float = THRESHOLD) -> None:
+    def __init__(
+        self, prediction: ServoPrediction | EgmPrediction, threshold: float = THRESHOLD
+    ) -> None:
         self._prediction = prediction
         self._threshold = threshold
         self._stiffness = prediction.servo.parameters.kp

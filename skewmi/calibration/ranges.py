@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from skewmi.calibration.calibration_file import Calibration, Constant
+from skewmi.errors import ConfigurationError
 from skewmi.robot_models.servo import ServoParameters
 
 FLOORS: Mapping[str, float] = {
@@ -35,7 +36,15 @@ def variation_ranges(
         widen: Factor on the half-widths.
         allowed: Lowest and highest value of each key that the variation may have; others are left
             out.
+
+    Raises:
+        ConfigurationError: It knows nothing but a controller guided by EGM.
     """
+    if calibration.egm is not None and calibration.scene is None:
+        raise ConfigurationError(
+            "the calibration is of a controller guided by EGM (section egm); the robots of a "
+            "variation have servos that follow commands themselves: there is nothing to widen"
+        )
     ranges: dict[str, list[list[float]]] = {}
 
     def add(key: str, constant: Constant, units: tuple[float, ...]) -> None:

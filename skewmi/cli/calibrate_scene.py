@@ -19,13 +19,13 @@ from skewmi.calibration.calibration_file import (
     read_calibration,
     write_calibration,
 )
+from skewmi.calibration.calibration_use import require_robot
 from skewmi.calibration.contact_watch import ContactWatch
+from skewmi.calibration.known_prediction import prediction_of
 from skewmi.calibration.scene_fit import SceneFit, Touch, fit_scene
 from skewmi.calibration.scene_section import scene_section, scene_warnings, touch_of
 from skewmi.calibration.scene_sources import read_marker, read_points
-from skewmi.calibration.servo_model import DelayedServo, ServoModel
-from skewmi.calibration.servo_prediction import ServoPrediction
-from skewmi.calibration.servo_section import servo_start
+from skewmi.calibration.servo_model import ServoModel
 from skewmi.cli import numbers
 from skewmi.cli.interrupt import stop_on_signal
 from skewmi.cli.robot_flags import require_motion_options
@@ -113,7 +113,7 @@ def run_scene(options: Scene) -> int:
         found = touched
     lid_bias, lid_sigma = (None, 0.0) if found.lid is None else found.lid
     section = scene_section(found.fit, lid_bias, lid_sigma)
-    known = before is not None and before.servo is not None
+    known = before is not None and (before.servo is not None or before.egm is not None)
     warnings = scene_warnings(found.fit, found.faces, known or found.report is None)
     written = _merged(before, section, found, warnings, begun)
     write_calibration(options.out, written, overwrite=options.overwrite)
@@ -154,17 +154,17 @@ def _touched(
     options: Scene, before: Calibration | None, tell: Callable[[str], None]
 ) -> _Found | int:
     """By touching; the exit code if that was stopped or did not come to a result."""
-    servo = DelayedServo(CONTACT_SERVO, 0.0)
-    if before is not None and before.servo is not None:
-        servo = servo_start(before.servo, CONTACT_SERVO)
     model = ServoModel(CONTACT_SERVO.kd / CONTACT_SERVO.kp)
-    watch = ContactWatch(ServoPrediction(servo, model))
+    prediction = prediction_of(before, model, CONTACT_SERVO)
+    watch = ContactWatch(prediction)
     boxes: list[SceneBox] = []
 
     def plan(described: RobotDescription) -> list[PlannedTouch]:
+        if before is not None:
+            require_robot(before, described.backend, described.egm.get("speed_share"))
         tell("planning the touches")
         limits = joint_limits.profile(options.limits)
-        planner = TouchPlanner(described, limits, servo.parameters, tell)
+        planner = TouchPlanner(described, limits, prediction.servo.parameters, tell)
         boxes.append(planner.box)
         return planner.touches()
 

@@ -10,14 +10,19 @@ from dataclasses import replace
 from importlib import import_module
 
 from skewmi.calibration.calibration_file import Calibration, read_calibration
-from skewmi.calibration.calibration_use import servo_constants
+from skewmi.calibration.calibration_use import require_robot, servo_constants
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.recording.reader import run_metadata
 from skewmi.deploy.recording.recorder import Recorder
 from skewmi.deploy.replay.live import LiveView
 from skewmi.deploy.report import DeployReport
-from skewmi.deploy.robot.description import SCENE_REQUEST, RobotDescription, limit_values
-from skewmi.deploy.robot.process import spawn_robot
+from skewmi.deploy.robot.description import (
+    SCENE_REQUEST,
+    RobotDescription,
+    limit_values,
+    recorded_facts,
+)
+from skewmi.deploy.robot.process import EMULATOR, spawn_robot
 from skewmi.deploy.run_watch import RunWatch
 from skewmi.deploy.session.deployable import require_workspace
 from skewmi.deploy.session.steadiness import TooBusyError
@@ -99,7 +104,10 @@ def _run(
         planned_episodes=options.episodes,
     )
     known = None if options.calibration is None else read_calibration(options.calibration)
-    knows_servos = known is not None and known.servo is not None
+    knows_servos = known is not None and (known.servo is not None or known.egm is not None)
+    if known is not None and options.starts_robot:
+        # Before a robot is started: it would say the same, and nobody would see it.
+        require_robot(known, _served(options.robot))
     with _robot_server(options, policy.layout.task, tell, knows_servos) as locator:
         config = TransportConfig.for_client(
             locator,
@@ -120,6 +128,11 @@ def _run(
             ):
                 session.run()
     return report
+
+
+def _served(robot: str) -> str:
+    """What the robot server of a robot that is started calls it: a bridge, for an emulator."""
+    return "egm" if robot == EMULATOR else robot
 
 
 def _robot_server(
@@ -192,6 +205,7 @@ def _metadata(
         limit_profile=limits.name,
         robot_model_hash=yumi.MODEL_HASH,
         lock_step=str(options.lock_step),
+        **recorded_facts(description),
         **({} if options.variation is None else {"variation": options.variation}),
         **({} if options.calibration is None else {"calibration": str(options.calibration)}),
     )

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from unknown_robots import exact_calibration
+from unknown_robots import exact_calibration, exact_egm_calibration
 
 from skewmi.calibration.calibration_file import read_calibration, write_calibration
 from skewmi.calibration.calibration_use import fingerprint
@@ -81,6 +81,26 @@ def test_a_file_that_is_not_there_or_of_another_robot_is_refused_in_one_line(
 def test_who_has_no_use_for_one_says_so(
     arguments: list[str], said: str, file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    assert main([*arguments, "--calibration", str(file)]) == 2
+    assert said in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "egm", "said"),
+    [
+        (["robot", "--backend", "egm"], False, "behind EGM"),
+        (["robot", "--backend", "sim"], True, "guided by EGM"),
+        (["evaluate", "--agent", "zero", *OPC], True, "guided by EGM"),
+        (["deploy", "open_press_close"], True, "guided by EGM"),
+        (["deploy", "open_press_close", "--robot", "egm-emulator"], False, "behind EGM"),
+        (["robot", "--backend", "egm", "--egm-feed-forward", "0.5"], True, "--egm-feed-forward 1"),
+    ],
+)
+def test_one_of_another_kind_of_robot_is_refused_with_what_to_do(
+    arguments: list[str], egm: bool, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    known = exact_egm_calibration() if egm else exact_calibration()
+    file = write_calibration(tmp_path / "other.yaml", known)
     assert main([*arguments, "--calibration", str(file)]) == 2
     assert said in " ".join(capsys.readouterr().err.split())
 

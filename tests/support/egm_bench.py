@@ -11,6 +11,7 @@ from egm_wire import Reference
 
 from skewmi.deploy.motion.start_motion import StartMotion
 from skewmi.deploy.robot.backends.egm.backend import EgmBackend
+from skewmi.deploy.robot.backends.egm.leading import LeadingReferences
 from skewmi.deploy.robot.backends.egm.options import EgmOptions
 from skewmi.deploy.robot.controller import RobotController
 from skewmi.deploy.robot.gripper.fixed import FixedGripper
@@ -20,7 +21,6 @@ from skewmi.deploy.safety.checks import limit_check
 from skewmi.deploy.safety.validation import ChunkValidator, ValidationRules
 from skewmi.deploy.wire.messages import encode_chunk
 from skewmi.robot_models import limits as joint_limits
-from skewmi.robot_models.feed_forward import FeedForward
 from skewmi.trajectory import GRID_NS, TrajectoryChunk
 
 LAB = joint_limits.profile("lab")
@@ -33,10 +33,10 @@ class Bench:
     """A bridge and its controller, cycle by cycle; time goes on with the controller's packets."""
 
     def __init__(
-        self, options: EgmOptions | None = None, feed_forward: FeedForward | None = None
+        self, options: EgmOptions | None = None, leading: LeadingReferences | None = None
     ) -> None:
         self.options = options or EgmOptions(listen="127.0.0.1:0", listen_left="none")
-        self.backend = EgmBackend(self.options, FixedGripper(0.014), feed_forward=feed_forward)
+        self.backend = EgmBackend(self.options, FixedGripper(0.014), leading=leading)
         rules = ValidationRules(joint_names=self.backend.joint_names, grid_ns=GRID_NS)
         speed = self.backend.admitted_speed
         validator = ChunkValidator(rules, limit_check(LAB, None, speed))

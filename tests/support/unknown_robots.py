@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from skewmi.calibration.calibration_file import Calibration, Constant, ServoCalibration
+from skewmi.calibration.calibration_file import (
+    Calibration,
+    Constant,
+    EgmCalibration,
+    ServoCalibration,
+)
 from skewmi.robot_models.servo import CONTACT_SERVO
 from skewmi.trajectory import Array
 
@@ -19,17 +24,36 @@ def exact_calibration(
     kp, kd = kp_scale * CONTACT_SERVO.kp, kd_scale * CONTACT_SERVO.kd
     friction = CONTACT_SERVO.frictionloss if frictionloss is None else np.zeros(7) + frictionloss
 
-    def known(value: Array | float) -> Constant:
-        values = tuple(map(float, np.atleast_1d(value)))
-        return Constant(values, values, values, (False,) * len(values))
-
     servo = ServoCalibration(
-        kp=known(kp),
-        kd=known(kd),
-        frictionloss=known(friction),
-        armature=known(CONTACT_SERVO.armature),
-        kd_over_kp=known(kd / kp),
-        frictionloss_over_kp=known(friction / kp),
-        delay_ms=known(delay_ms),
+        kp=exactly(kp),
+        kd=exactly(kd),
+        frictionloss=exactly(friction),
+        armature=exactly(CONTACT_SERVO.armature),
+        kd_over_kp=exactly(kd / kp),
+        frictionloss_over_kp=exactly(friction / kp),
+        delay_ms=exactly(delay_ms),
     )
     return Calibration("2026-01-02T03:04:05Z", "1.2.3", servo)
+
+
+def exact_egm_calibration(
+    gain: float = 20.0, low_pass_hz: float = 20.0, lag_ms: float = 20.0, speed_share: float = 1.0
+) -> Calibration:
+    """That of a robot behind EGM with this law, this lag of every joint, and nominal servos."""
+    servo = exact_calibration(delay_ms=lag_ms + 4.032).servo
+    assert servo is not None
+    egm = EgmCalibration(
+        period_ms=4.032,
+        speed_share=speed_share,
+        gain=exactly(gain),
+        low_pass_hz=exactly(low_pass_hz),
+        lag_ms=exactly(np.full(7, lag_ms)),
+        servo=servo,
+    )
+    return Calibration("2026-01-02T03:04:05Z", "1.2.3", egm=egm)
+
+
+def exactly(value: Array | float) -> Constant:
+    """One number, or seven, without a doubt."""
+    values = tuple(map(float, np.atleast_1d(value)))
+    return Constant(values, values, values, (False,) * len(values))

@@ -7,9 +7,15 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from skewmi.calibration.calibration_file import Calibration
-from skewmi.calibration.calibration_use import fingerprint, servo_constants
+from skewmi.calibration.calibration_use import (
+    fingerprint,
+    low_pass_s,
+    require_robot,
+    servo_constants,
+)
 from skewmi.deploy.robot.backend import fresh_start_ns
 from skewmi.deploy.robot.backends import BackendOptions, make_backend
+from skewmi.deploy.robot.backends.egm.options import EgmOptions
 from skewmi.deploy.robot.controller import LEASE_NS, RobotController
 from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.robot.server import RobotServer
@@ -57,7 +63,13 @@ def serve_robot(
         TransportError: The port is in use, or the robot cannot be reached.
     """
     known = "" if calibration is None else fingerprint(calibration)
-    options = replace(options, feed_forward=_feed_forward(calibration, limits))
+    if calibration is not None:
+        require_robot(calibration, name, _speed_share(name, options))
+        options = replace(
+            options,
+            feed_forward=_feed_forward(calibration, limits),
+            low_pass_s=low_pass_s(calibration),
+        )
     # The port first: a taken one is reported before a scene is compiled.
     with Link.open(config, NODE_NAME) as link:
         backend = make_backend(name, replace(options, link=link))
@@ -81,9 +93,14 @@ def serve_robot(
         server.run(stop, on_ready)
 
 
-def _feed_forward(calibration: Calibration | None, limits: JointLimits) -> FeedForward | None:
-    if calibration is None:
+def _speed_share(name: str, options: BackendOptions) -> float | None:
+    """What a bridge sends of the plan's speed; None for other robots."""
+    if name != "egm":
         return None
+    return (EgmOptions() if options.egm is None else options.egm).feed_forward
+
+
+def _feed_forward(calibration: Calibration, limits: JointLimits) -> FeedForward:
     constants = servo_constants(calibration)
     if constants is None:
         raise ConfigurationError(

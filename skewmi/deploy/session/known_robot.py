@@ -5,7 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from skewmi.calibration.calibration_file import Calibration
-from skewmi.calibration.calibration_use import fingerprint
+from skewmi.calibration.calibration_use import (
+    fingerprint,
+    known_delay_s,
+    require_robot,
+)
 from skewmi.deploy.robot.description import RobotDescription
 
 
@@ -30,10 +34,14 @@ def agree_on_calibration(
     Args:
         known: By the session; None if nothing is.
         described: The robot server's own words.
+
+    Raises:
+        ConfigurationError: The session's is of another kind of robot.
     """
     theirs = described.calibration
-    servo = None if known is None else known.servo
-    if known is None or servo is None:
+    if known is not None:
+        require_robot(known, described.backend, described.egm.get("speed_share"))
+    if known is None or (known.servo is None and known.egm is None):
         note = (
             ""
             if not theirs
@@ -52,4 +60,4 @@ def agree_on_calibration(
         f"({ours}): start it with the same --calibration"
     )
     # A robot server that has one makes up for the delay that it knows.
-    return CalibrationAgreement(0.0 if theirs else servo.delay_ms.value[0] / 1e3, note)
+    return CalibrationAgreement(0.0 if theirs else known_delay_s(known), note)

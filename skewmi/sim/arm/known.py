@@ -13,6 +13,7 @@ from skewmi.calibration.calibration_use import (
     LARGEST_LID_BIAS,
     known_stiffness,
     lid_bias,
+    require_robot,
     servo_constants,
 )
 from skewmi.errors import ConfigurationError
@@ -30,6 +31,9 @@ class Known:
     """
 
     calibration: Calibration
+
+    def __post_init__(self) -> None:
+        require_robot(self.calibration, "sim")
 
     @staticmethod
     def of(given: Calibration | str | Path | None) -> Known | None:

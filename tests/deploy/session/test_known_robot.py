@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import pytest
 from robot_servers import description
-from unknown_robots import exact_calibration
+from unknown_robots import exact_calibration, exact_egm_calibration
 
 from skewmi.calibration.calibration_use import fingerprint
 from skewmi.deploy.session.known_robot import agree_on_calibration
+from skewmi.errors import ConfigurationError
 
 KNOWN = exact_calibration(delay_ms=30.0)
 OTHER = exact_calibration(delay_ms=31.0)
@@ -40,3 +41,14 @@ def test_who_knows_something_else_is_told(
     assert found.note is not None
     assert said in found.note
     assert "--calibration" in found.note
+
+
+def test_a_calibration_of_another_kind_of_robot_is_refused() -> None:
+    egm = exact_egm_calibration(lag_ms=18.0)
+    for known, backend, told in ((KNOWN, "egm", "behind EGM"), (egm, "sim", "guided by EGM")):
+        with pytest.raises(ConfigurationError, match=told):
+            agree_on_calibration(known, description(backend=backend))
+    found = agree_on_calibration(egm, description(backend="egm", egm={"speed_share": 1.0}))
+    assert found.delay_s == pytest.approx(0.018)
+    with pytest.raises(ConfigurationError, match="--egm-feed-forward"):
+        agree_on_calibration(egm, description(backend="egm", egm={"speed_share": 0.8}))

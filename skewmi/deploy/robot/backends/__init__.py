@@ -67,6 +67,8 @@ class BackendOptions:
     """Where a simulated arm is at first, chain order, rad."""
     feed_forward: FeedForward | None = None
     """Of servos that are known: what is sent in place of the plan, which is checked before."""
+    low_pass_s: float = 0.0
+    """Of a controller guided by EGM that is known: time constant of its law's low-pass, s."""
     egm: EgmOptions | None = None
     """How to reach a controller."""
     gripper: Gripper | None = None

@@ -14,6 +14,7 @@ from skewmi.deploy.robot.backend import RobotBackend, RobotState
 from skewmi.deploy.robot.backends import BackendOptions
 from skewmi.deploy.robot.backends.egm.channel import ArmChannel, Taken
 from skewmi.deploy.robot.backends.egm.clock import NOMINAL_PERIOD_NS
+from skewmi.deploy.robot.backends.egm.leading import LeadingReferences
 from skewmi.deploy.robot.backends.egm.left_arm import LeftArm
 from skewmi.deploy.robot.backends.egm.link import UdpLink, parse_address
 from skewmi.deploy.robot.backends.egm.motion import DelayEstimate, SpeedEstimate
@@ -25,7 +26,6 @@ from skewmi.deploy.robot.gripper.base import Gripper
 from skewmi.deploy.state_machine import Transition
 from skewmi.errors import CommandRefusedError, ConfigurationError, TransportError
 from skewmi.robot_models import yumi
-from skewmi.robot_models.feed_forward import FeedForward
 from skewmi.trajectory import Array, JointPoint
 
 _log = logging.getLogger(__name__)
@@ -48,7 +48,7 @@ class EgmBackend:
         options: Of the bridge.
         gripper: Of the right arm; None if there is none.
         scene: What is known of what stands before it; None if nothing is.
-        feed_forward: Of a known arm: positions run ahead of the plan, speeds stay the plan's.
+        leading: Of a known controller: references run ahead of the plan.
     """
 
     name = "egm"
@@ -60,12 +60,12 @@ class EgmBackend:
         options: EgmOptions,
         gripper: Gripper | None = None,
         scene: EgmScene | None = None,
-        feed_forward: FeedForward | None = None,
+        leading: LeadingReferences | None = None,
     ) -> None:
         self.options = options
         self.gripper = gripper
         self.scene = scene
-        self._feed_forward = feed_forward
+        self._leading = leading
         self.joint_names = yumi.joint_names("right")
         fingers = () if gripper is None else yumi.finger_names("right")[:1]
         self.state_names: tuple[str, ...] = (*self.joint_names, *fingers)
@@ -151,7 +151,8 @@ class EgmBackend:
         assert self.right is not None
         if self.right.watch.state in _FOLLOWS:
             share = self.options.feed_forward
-            self.right.answer(self._sent(command), share * command.v if share else None)
+            q, v = self._sent(command)
+            self.right.answer(q, share * v if share else None)
             self._note_delay(command)
             self.command = command
             self.recent.append(command)
@@ -162,6 +163,15 @@ class EgmBackend:
             self.delay.forget_way()
         if self.left is not None:
             self.left.serve()
+
+    def egm(self) -> Mapping[str, float]:
+        """What the bridge was told of the controller's law, for `RobotDescription.egm`."""
+        program = self.options.program
+        return {
+            "gain": program.gain,
+            "low_pass_hz": program.low_pass_hz,
+            "speed_share": self.options.feed_forward,
+        }
 
     def activate(self) -> None:
         """EGM runs already: nothing is to be switched on."""
@@ -192,13 +202,13 @@ class EgmBackend:
         if self.gripper is not None:
             self.gripper.close()
 
-    def _sent(self, command: JointPoint) -> Array:
-        """The position reference for a point of the plan, rad. Shape (7,)."""
-        if self._feed_forward is None:
-            return command.q
+    def _sent(self, command: JointPoint) -> tuple[Array, Array]:
+        """References for a point of the plan, rad and rad/s. Each shape (7,)."""
+        if self._leading is None:
+            return command.q, command.v
         if self.command is None:
-            self._feed_forward.start(command.q)
-        return self._feed_forward.step(command.q, command.v)
+            self._leading.start(command.q)
+        return self._leading.references(command)
 
     def _expect_session(self) -> None:
         assert self.right is not None
@@ -268,4 +278,7 @@ def make(options: BackendOptions) -> RobotBackend:
     scene = (
         EgmScene.open(options.facts, options.link if emulated else None) if options.facts else None
     )
-    return EgmBackend(egm, options.gripper, scene, options.feed_forward)
+    leading = None
+    if options.feed_forward is not None:
+        leading = LeadingReferences(options.feed_forward, options.low_pass_s, egm.admitted_speed)
+    return EgmBackend(egm, options.gripper, scene, leading)

@@ -5,17 +5,19 @@ from __future__ import annotations
 import numpy as np
 from egm_bench import LAB, Bench, in_degrees
 from egm_wire import MOTORS_OFF
-from unknown_robots import exact_calibration
+from unknown_robots import exact_egm_calibration
 
-from skewmi.calibration.calibration_use import servo_constants
+from skewmi.calibration.calibration_use import low_pass_s, servo_constants
+from skewmi.deploy.robot.backends.egm.leading import LeadingReferences
 from skewmi.robot_models.feed_forward import FeedForward
 from skewmi.trajectory import GRID_S, Array
 
 
-def law() -> FeedForward:
-    constants = servo_constants(exact_calibration(0.5, 1.4, 0.2))
+def law() -> LeadingReferences:
+    known = exact_egm_calibration(low_pass_hz=5.0, lag_ms=40.0)
+    constants = servo_constants(known)
     assert constants is not None
-    return FeedForward(constants, LAB)
+    return LeadingReferences(FeedForward(constants, LAB), low_pass_s(known), 0.186)
 
 
 def moved(bench: Bench, joint: int) -> tuple[Array, list[tuple[float, ...]]]:
@@ -29,13 +31,14 @@ def moved(bench: Bench, joint: int) -> tuple[Array, list[tuple[float, ...]]]:
     return in_degrees(answers), [tuple(a.speeds) for a in answers if a.speeds]
 
 
-def test_positions_are_the_law_of_the_plan_and_speeds_stay_the_plans() -> None:
-    with Bench() as plain, Bench(feed_forward=law()) as known:
+def test_references_run_ahead_of_the_plan_and_come_to_it() -> None:
+    with Bench() as plain, Bench(leading=law()) as known:
         plan, plan_speeds = moved(plain, 3)
         sent, speeds = moved(known, 3)
-    assert speeds == plan_speeds
-    lead = np.abs(sent - plan)[:, 3].max()
-    assert lead > 1.0
+    # 40 ms of the way, and as much of the acceleration as lag and low-pass ask for.
+    assert np.abs(sent - plan)[:, 3].max() > 0.3
+    ahead = np.array(speeds)[:, :7] - np.array(plan_speeds)[:, :7]
+    assert np.abs(ahead).max() > 1.0
     assert np.abs(np.delete(sent - plan, 3, axis=1)).max() < 1e-9
     # At rest it has come to the plan, but for friction that is being forgotten.
     np.testing.assert_allclose(sent[-1], plan[-1], atol=np.degrees(2e-3))
@@ -45,7 +48,7 @@ def test_positions_are_the_law_of_the_plan_and_speeds_stay_the_plans() -> None:
 
 
 def test_an_arm_that_was_not_guided_begins_at_rest() -> None:
-    with Bench(feed_forward=law()) as bench:
+    with Bench(leading=law()) as bench:
         moved(bench, 3)
         bench.run(5, motors=MOTORS_OFF)
         bench.ready()
