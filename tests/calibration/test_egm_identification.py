@@ -27,6 +27,11 @@ from skewmi.trajectory import GRID_S, JointTrajectory
 
 ANNOUNCED = EgmLaw(20.0, 20.0)
 NOISE = 1e-4
+ROBOT: dict[str, object] = {
+    "seed": 0,
+    "servo": {"frictionloss": CONTACT_SERVO.frictionloss.tolist()},
+}
+"""Nominal servos, with dry friction as those of all variations have it."""
 
 
 @functools.cache
@@ -43,7 +48,7 @@ def model() -> ServoModel:
 @pytest.mark.slow
 def test_law_and_lag_of_an_emulated_controller_are_found_and_written() -> None:
     drawn = DrawnEgm(EgmLaw(8.0, 12.0), 17.3)
-    recording = drawn.record(motion(), NOISE)
+    recording = drawn.record(motion(), NOISE, 0, ROBOT)
     # The bridge was told another law: what is announced is where the search begins, no more.
     found = EgmIdentifier(model(), [recording], CONTACT_SERVO, ANNOUNCED).run()
     truths = {"gain": 8.0, "low_pass": 12.0, "delay": drawn.delay_s}
@@ -67,7 +72,7 @@ def test_law_and_lag_of_an_emulated_controller_are_found_and_written() -> None:
 @pytest.mark.slow
 def test_trying_every_lag_and_corner_on_the_emulator_itself_finds_the_same() -> None:
     drawn = DrawnEgm(EgmLaw(20.0, 9.0), 11.0)
-    recording = drawn.record(motion(), NOISE, seed=5)
+    recording = drawn.record(motion(), NOISE, 5, ROBOT)
     found = EgmIdentifier(model(), [recording], CONTACT_SERVO, ANNOUNCED).run()
     lags, corners = 11.0 + np.arange(-2.0, 3.0), 9.0 * 1.06 ** np.arange(-2.0, 3.0)
     size = np.array(
@@ -92,7 +97,7 @@ def test_trying_every_lag_and_corner_on_the_emulator_itself_finds_the_same() -> 
 
 def _far(tried: DrawnEgm, recording: EgmRecording) -> float:
     """Squared difference of an emulated arm's way and a recorded one."""
-    error = tried.record(motion()).motion.positions - recording.motion.positions
+    error = tried.record(motion(), variation=ROBOT).motion.positions - recording.motion.positions
     return float((error[200:] ** 2).sum())
 
 
