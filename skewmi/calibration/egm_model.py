@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skewmi.calibration.egm_law import EgmLaw, desired_motions
 from skewmi.calibration.servo_model import (
@@ -92,7 +93,7 @@ class EgmRecording:
     @staticmethod
     def of_cycles(
         references: JointTrajectory,
-        cycles: Array,
+        cycles: NDArray[np.int64],
         positions: Array,
         period_s: float,
         speed_share: float,

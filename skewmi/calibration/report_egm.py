@@ -68,6 +68,17 @@ def egm_parts(
     shown = [item for item in recordings if item.egm is not None]
     if not shown:
         return [*parts, "<p class=dim>No recordings given: no residuals are shown.</p>"]
+    return [*parts, *_compared(egm, shown, model, nominal)]
+
+
+def _compared(
+    egm: EgmCalibration,
+    shown: Sequence[NamedRecording],
+    model: ServoModel,
+    nominal: ServoParameters,
+) -> list[str]:
+    """What nominal servos behind the law make of each motion, and those found."""
+    parts = []
     found = egm_arm(egm, nominal)
     plain = EgmArm(EgmLaw(egm.gain.value[0], egm.low_pass_hz.value[0]), DelayedServo(nominal, 0.0))
     for item in shown:
