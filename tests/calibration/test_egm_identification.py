@@ -74,17 +74,17 @@ def test_trying_every_lag_and_corner_on_the_emulator_itself_finds_the_same() -> 
     drawn = DrawnEgm(EgmLaw(20.0, 9.0), 11.0)
     recording = drawn.record(motion(), NOISE, 5, ROBOT)
     found = EgmIdentifier(model(), [recording], CONTACT_SERVO, ANNOUNCED).run()
-    lags, corners = 11.0 + np.arange(-2.0, 3.0), 9.0 * 1.06 ** np.arange(-2.0, 3.0)
+    lags, corners = 11.0 + np.arange(-1.0, 2.0), 9.0 * 1.06 ** np.arange(-1.0, 2.0)
     size = np.array(
         [
             [_far(DrawnEgm(EgmLaw(20.0, corner), lag), recording) for corner in corners]
             for lag in lags
         ]
     )
-    # Least squares of a quadratic through all 25: where its minimum is, without a fitter.
-    u, w = np.meshgrid(np.arange(-2.0, 3.0), np.arange(-2.0, 3.0), indexing="ij")
+    # Least squares of a quadratic through all nine: where its minimum is, without a fitter.
+    u, w = np.meshgrid(np.arange(-1.0, 2.0), np.arange(-1.0, 2.0), indexing="ij")
     rows = np.stack(
-        (np.ones(25), u.ravel(), w.ravel(), u.ravel() ** 2, (u * w).ravel(), w.ravel() ** 2)
+        (np.ones(9), u.ravel(), w.ravel(), u.ravel() ** 2, (u * w).ravel(), w.ravel() ** 2)
     )
     c = np.linalg.lstsq(rows.T, size.ravel(), rcond=None)[0]
     best = np.linalg.solve([[2 * c[3], c[4]], [c[4], 2 * c[5]]], [-c[1], -c[2]])
