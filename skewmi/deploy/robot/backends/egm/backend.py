@@ -155,7 +155,8 @@ class EgmBackend:
             self.right.answer(q, share * v if share else None)
             self._note_delay(command)
             self.command = command
-            self.recent.append(command)
+            # What runs on if the bridge dies is what was sent, which may be ahead of the plan.
+            self.recent.append(JointPoint(command.q, v, command.a))
         else:
             self.right.hold()
             self.command = None

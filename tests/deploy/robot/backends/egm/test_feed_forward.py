@@ -9,7 +9,9 @@ from unknown_robots import exact_egm_calibration
 
 from skewmi.calibration.calibration_use import low_pass_s, servo_constants
 from skewmi.deploy.robot.backends.egm.leading import LeadingReferences
+from skewmi.deploy.robot.backends.egm.telling import runs_on
 from skewmi.robot_models.feed_forward import FeedForward
+from skewmi.robot_models.kinematics import ArmKinematics
 from skewmi.trajectory import GRID_S, Array
 
 
@@ -54,3 +56,24 @@ def test_an_arm_that_was_not_guided_begins_at_rest() -> None:
         bench.ready()
         answers = in_degrees(bench.run(20))
     assert np.ptp(answers, axis=0).max() < 1e-9
+
+
+def test_what_runs_on_is_reckoned_with_the_speeds_that_were_sent() -> None:
+    """They are ahead of the plan's where it accelerates."""
+    arm = ArmKinematics("right")
+    with Bench(leading=law()) as bench:
+        bench.armed()
+        start = np.array(bench.robot.arm_motion.commanded_position())
+        goal = start + 0.1 * (np.arange(7) == 0)
+        bench.send_chunk(bench.motion(start, goal).trajectory)
+        seconds = bench.options.program.runs_on_s(bench.options.feed_forward)
+        told, sent, planned = [], [], []
+        for _ in range(150):
+            (answer,) = bench.run(1)
+            v = np.radians(answer.speeds[0]) / bench.options.feed_forward * (np.arange(7) == 0)
+            q = bench.backend.command.q
+            sent.append(float(np.linalg.norm(arm.jacobian(q)[:3] @ v)))
+            planned.append(float(np.linalg.norm(arm.jacobian(q)[:3] @ bench.backend.command.v)))
+            told.append(runs_on(bench.backend) / seconds)
+    assert (np.array(told) >= np.array(sent) * (1.0 - 1e-6)).all()
+    assert (np.array(sent) > np.array(planned) + 1e-3).any(), "nothing was ahead of the plan"
