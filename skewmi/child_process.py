@@ -1,7 +1,8 @@
 """A process that works beside its owner: started with a task, told lines, asked why it ended.
 
-Nobody waits for it, and it outlives whoever started it: if that is killed, its end of the child's
-standard input closes, and the child finishes. What such a child does at its end is in `child`.
+Its owner works on without waiting for it, until it asks for the end. It outlives whoever started
+it: if that is killed, its end of the child's standard input closes, and the child finishes. What
+such a child does at its end is in `child`.
 """
 
 from __future__ import annotations
@@ -11,11 +12,14 @@ import json
 import os
 import subprocess
 import time
+from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import IO, Self
+from typing import IO, Self, TypeVar
 
 from skewmi.child import child_command, told, wait_for_line
+
+T = TypeVar("T")
 
 _LAST_WORDS_S = 0.5
 """A child that is not ready and has said why is about to end; otherwise it hangs."""
@@ -104,14 +108,29 @@ class ChildProcess:
         Returns:
             Its exit code; None if it has not ended.
         """
+        try:
+            return self._while_working(self.process.wait, idle_s, longest_s)
+        except subprocess.TimeoutExpired:
+            return None
+
+    def _while_working(self, attempt: Callable[[float], T], idle_s: float, longest_s: float) -> T:
+        """Wait by `attempt` again and again for as long as the process works.
+
+        Args:
+            attempt: Waits for so many s; raises `subprocess.TimeoutExpired`.
+            idle_s, longest_s: See `wait`.
+
+        Raises:
+            subprocess.TimeoutExpired: It hangs, or has worked for too long.
+        """
         self.is_working()
         until = time.monotonic() + longest_s
         while True:
             try:
-                return self.process.wait(idle_s)
+                return attempt(idle_s)
             except subprocess.TimeoutExpired:
                 if not self.is_working() or time.monotonic() > until:
-                    return None
+                    raise
 
     def reason(self) -> str:
         """Why the process ended, in its own words if it had any; waits for the end."""

@@ -7,7 +7,6 @@ anyway; its interpreter lock, garbage collector, disk and screen cannot hold the
 from __future__ import annotations
 
 import subprocess
-import time
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from typing import Any, Self
@@ -49,17 +48,16 @@ class ListenerProcess(ChildProcess):
             TimeoutError: It hung or did not end within `_FINISH_LONGEST_S`, and was killed.
             ValueError: It ended without them.
         """
-        self.is_working()
-        until = time.monotonic() + _FINISH_LONGEST_S
-        while True:
-            try:
-                # Closes the pipe: that is how the listener learns that this was all.
-                out, _ = self.process.communicate(timeout=idle_s)
-                break
-            except subprocess.TimeoutExpired as error:
-                if not self.is_working() or time.monotonic() > until:
-                    self.process.kill()
-                    raise TimeoutError from error
+        try:
+            # Closes the pipe: that is how the listener learns that this was all.
+            out, _ = self._while_working(
+                lambda seconds: self.process.communicate(timeout=seconds),
+                idle_s,
+                _FINISH_LONGEST_S,
+            )
+        except subprocess.TimeoutExpired as error:
+            self.process.kill()
+            raise TimeoutError from error
         last = [content for line in out.splitlines() if (content := told(line)) is not None]
         if not last:
             raise ValueError("the process ended without its last words")
