@@ -3,7 +3,7 @@
 Per grid step one quadratic program in the joint step dq = h v:
 
     min  |J dq - h (V + k e)|^2_W  +  |dq - h g (q* - q)|^2 c^2
-    s.t. h v_low <= dq <= h v_high
+    s.t. h v_low <= dq <= h v_high,   J_p dq <= h u along the faces that the hand is beyond
 
 with V the wanted hand velocity, e the pose error (shaped command less planned hand; the wanted
 orientation is constant), and q* the posture that settles the one redundant joint. k and g are
@@ -20,6 +20,11 @@ curvature. So there the posture's weight grows with the hand's distance d from w
 
 and p with the time for which the hand has waited there in vain, until the arm gives way, towards
 the posture, from where the hand can go everywhere in its box.
+
+Beyond a face of its box, in the tolerance, the hand may only move outwards as fast as it can stop
+there (u, from the planner), whatever else the program is after: it would put a tilt right at the
+price of some millimetres, be refused, and try the same again. Where joints at their bounds leave no
+way inwards as fast as wanted, u = 0, which rest always meets.
 
 mink gives kinematics and the weighted hand task; the program itself is put together here, since its
 posture is a diagonal and its bounds are on single joints, and handed to daqp. A test compares with
@@ -72,6 +77,10 @@ AT_REST = 1e-3
 """Wanted speed below which the hand is waited for, m/s."""
 
 
+_SENSE = np.zeros(13, dtype=np.intc)
+"""daqp's kind of each bound: an inequality. Of seven joints and six directions of the hand."""
+
+
 @cache
 def _arm_model() -> mujoco.MjModel:
     """The right arm alone, its seven joints and nothing that moves besides. Not to be changed."""
@@ -107,9 +116,8 @@ class DifferentialIk:
         self._posture = np.array(posture, dtype=np.float64)
         self._quaternion_wxyz = mink.SO3.from_matrix(np.asarray(rotation, dtype=np.float64)).wxyz
         self._waited_s = 0.0
-        # Only bounds on single joints: no rows of a constraint matrix.
-        self._rows = np.zeros((0, model.nv))
-        self._sense = np.zeros(model.nv, dtype=np.intc)
+        self._no_rows = np.zeros((0, model.nv))
+        self._position_jacobian = np.zeros((3, model.nv))
 
     def reset(self) -> None:
         """Forget how long the hand has been waited for."""
@@ -128,6 +136,7 @@ class DifferentialIk:
         low: Array,
         high: Array,
         feedback_rate: float = FEEDBACK_RATE,
+        outwards: Array | None = None,
     ) -> Array | None:
         """Joint velocities at the configuration of the last `place`.
 
@@ -137,6 +146,8 @@ class DifferentialIk:
             low: Lowest joint velocities, rad/s. Shape (7,).
             high: Highest. Shape (7,).
             feedback_rate: k, 1/s.
+            outwards: Highest hand velocities in the directions -x, -y, -z, x, y, z of the base,
+                m/s; infinite for none, negative for a way back. Shape (6,).
 
         Returns:
             rad/s, shape (7,); None if the solver fails (then the planner brakes).
@@ -150,13 +161,25 @@ class DifferentialIk:
         hessian.flat[:: len(self._posture) + 1] += cost
         to_posture = self._posture - self._configuration.data.qpos
         gradient = -(error @ jacobian) - (cost * POSTURE_RATE * GRID_S) * to_posture
-        step, _, flag, _ = daqp.solve(
-            hessian, gradient, self._rows, GRID_S * high, GRID_S * low, self._sense
-        )
-        if flag <= 0 or not np.isfinite(step).all():
-            return None
-        velocities: Array = step / GRID_S
+        program = hessian, gradient, GRID_S * low, GRID_S * high
+        if outwards is None:
+            return _velocities(*program, self._no_rows)
+        rows, most = self._face_rows(outwards)
+        velocities = _velocities(*_with_rows(*program, rows, GRID_S * most))
+        if velocities is None and (most < 0.0).any():
+            most = np.maximum(most, 0.0)
+            velocities = _velocities(*_with_rows(*program, rows, GRID_S * most))
         return velocities
+
+    def _face_rows(self, outwards: Array) -> tuple[Array, Array]:
+        """Rows n . J_p of the directions n with a bound, and their bounds, m/s."""
+        data = self._configuration.data
+        mujoco.mj_jacSite(
+            self._configuration.model, data, self._position_jacobian, None, self._site
+        )
+        bounded = np.isfinite(outwards)
+        rows = np.concatenate((-self._position_jacobian, self._position_jacobian))[bounded]
+        return np.ascontiguousarray(rows), outwards[bounded]
 
     def _giving_way(self, position: Array, velocity: Array) -> float:
         """What is added to c0^2 where the hand cannot follow, and count the time."""
@@ -166,3 +189,22 @@ class DifferentialIk:
         self._waited_s += GRID_S if waiting else -GRID_S
         self._waited_s = min(max(self._waited_s, 0.0), MAX_WAIT_S)
         return (1.0 + self._waited_s / PATIENCE_S) * GIVING_WAY * max(0.0, excess)
+
+
+def _velocities(
+    hessian: Array, gradient: Array, low: Array, high: Array, rows: Array
+) -> Array | None:
+    """Solve for a joint step with `low <= (step, rows @ step) <= high`; rad/s, or None."""
+    step, _, flag, _ = daqp.solve(hessian, gradient, rows, high, low, _SENSE[: high.size])
+    if flag <= 0 or not np.isfinite(step).all():
+        return None
+    velocities: Array = step / GRID_S
+    return velocities
+
+
+def _with_rows(
+    hessian: Array, gradient: Array, low: Array, high: Array, rows: Array, most: Array
+) -> tuple[Array, Array, Array, Array, Array]:
+    """A program of bounds on single joints with `rows @ step <= most` besides."""
+    low = np.concatenate((low, np.full(most.size, -np.inf)))
+    return hessian, gradient, low, np.concatenate((high, most)), rows

@@ -29,6 +29,7 @@ import numpy as np
 from skewmi.deploy.motion.brake import Array
 from skewmi.deploy.motion.cartesian_shaper import CartesianShaper, Reference
 from skewmi.deploy.motion.differential_ik import FEEDBACK_RATE, DifferentialIk
+from skewmi.deploy.motion.faces import Faces
 from skewmi.deploy.motion.hand_bounds import HandBounds, derive_hand_bounds
 from skewmi.deploy.motion.joint_shaper import JointShaper
 from skewmi.deploy.motion.smoothing import DELAY_S, FORESEEN, SmoothedReference
@@ -87,6 +88,7 @@ class Planner:
         self._joints = JointShaper(limits)
         self._ik = DifferentialIk(posture, self._rotation)
         self._hand = _shaper(self._low, self._high, self.hand_bounds)
+        self._faces = Faces(self._low, self._high, self._tolerance, self.hand_bounds)
         self._reference = Reference(np.array(workspace.start))
         self._smoothed = SmoothedReference(self._reference.position_w)
         # Where x was when the arm was told to be where it is now: the joint shaper's lag is no
@@ -228,7 +230,8 @@ class Planner:
         self._shaped.append(hand.position_w)
         low, high = (self._haste * bound for bound in joints.velocity_bounds())
         rate = joints.feedback_rate(FEEDBACK_RATE)
-        wanted = self._ik.solve(due_w - self._base, hand.velocity_w, low, high, rate)
+        outwards = self._faces.outwards(at)
+        wanted = self._ik.solve(due_w - self._base, hand.velocity_w, low, high, rate, outwards)
         joints.step(_REST if wanted is None else wanted, low, high)
 
     def _advance_reference(self) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import planner_fuzz
 import planner_scenes
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from planned_runs import KINEMATICS, START, follow
 from slow_limits import slowed
@@ -133,6 +133,7 @@ def test_shaped_command_never_leaves_the_box(seed: int) -> None:
 
 
 @settings(max_examples=60, deadline=None)
+@example(joints={2, 3, 4, 6}, seed=272, profile="lab")
 @given(
     joints=st.sets(st.integers(0, 6), min_size=1, max_size=4),
     seed=st.integers(0, 2**32 - 1),

@@ -29,8 +29,11 @@ from skewmi.deploy.motion.differential_ik import (
     DifferentialIk,
     _arm_model,
 )
+from skewmi.deploy.motion.faces import Faces
+from skewmi.deploy.motion.hand_bounds import HandBounds
 from skewmi.deploy.motion.planner import Planner
 from skewmi.robot_models import frames, limits, yumi
+from skewmi.robot_models.kinematics import ArmKinematics
 
 START = np.array(yumi.TABLE_CONFIGURATION)
 NUMBER = st.floats(-1.0, 1.0)
@@ -55,7 +58,23 @@ def test_scalar_stop_agrees_with_the_batched_one(
     assert approach_speed_of(q, acceleration, jerk) == pytest.approx(float(speed[0]), abs=1e-12)
 
 
-def test_inverse_kinematics_solves_minks_program() -> None:
+class _HandVelocity(mink.Limit):
+    """Bounds on the hand's velocity in six directions, with Pinocchio's Jacobian."""
+
+    def __init__(self, most: np.ndarray) -> None:
+        self._most = most
+        self._kinematics = ArmKinematics("right")
+
+    def compute_qp_inequalities(
+        self, configuration: mink.Configuration, dt: float
+    ) -> mink.Constraint:
+        rows = self._kinematics.jacobian(configuration.q)[:3]
+        bounded = np.isfinite(self._most)
+        return mink.Constraint(np.concatenate((-rows, rows))[bounded], dt * self._most[bounded])
+
+
+@pytest.mark.parametrize("beyond_faces", [False, True])
+def test_inverse_kinematics_solves_minks_program(beyond_faces: bool) -> None:
     """Put together here or by mink, with bounds that bind: the same velocities."""
     rng = np.random.default_rng(0)
     model, dt = _arm_model(), 0.004
@@ -70,14 +89,20 @@ def test_inverse_kinematics_solves_minks_program() -> None:
     posture = mink.PostureTask(model, cost=POSTURE_COST, gain=POSTURE_RATE * dt)
     posture.set_target(START)
     rotation = mink.SO3.from_matrix(frames.HAND_DOWN)
-    binding = 0
+    binding = kept_in = 0
     for _ in range(50):
         q = START + rng.uniform(-0.1, 0.1, 7)
         bound = rng.uniform(0.05, 0.5, 7)
         # Less than 1 mm away: further away the hand gives way to the posture.
         position = ik.place(q) + rng.uniform(-5e-4, 5e-4, 3)
         velocity = rng.uniform(-0.2, 0.2, 3)
-        found = ik.solve(position, velocity, -bound, bound)
+        most = np.full(6, np.inf)
+        if beyond_faces:
+            # The face that the hand would pass, at first its only one, with a way back or none.
+            axis = int(np.argmax(np.abs(velocity)))
+            most[axis + 3 * (velocity[axis] > 0.0)] = rng.uniform(-0.005, 0.02)
+        outwards = most if beyond_faces else None
+        found = ik.solve(position, velocity, -bound, bound, outwards=outwards)
         assert found is not None
         target = mink.SE3.from_rotation_and_translation(rotation, position + velocity / 5.0)
         hand.set_target(target)
@@ -88,11 +113,52 @@ def test_inverse_kinematics_solves_minks_program() -> None:
             dt,
             "daqp",
             damping=0.0,
-            limits=[mink.VelocityLimit(model, speeds)],
+            limits=[mink.VelocityLimit(model, speeds), _HandVelocity(most)],
         )
         np.testing.assert_allclose(found, expected, atol=2e-3)
         binding += int((np.abs(found) > 0.999 * bound).any())
+        kept = ArmKinematics("right").jacobian(q)[:3] @ found
+        kept_in += int((np.concatenate((-kept, kept)) > most - 1e-4).any())
     assert binding > 10
+    assert kept_in > 30 or not beyond_faces
+
+
+def test_no_way_back_inwards_is_no_reason_to_go_on_outwards() -> None:
+    """Joints that may not move at all cannot bring the hand back: rest, not a failure."""
+    ik = DifferentialIk(START, frames.HAND_DOWN)
+    position = ik.place(START)
+    outwards = np.full(6, np.inf)
+    outwards[3] = -0.01
+    none = np.zeros(7)
+    found = ik.solve(position, np.array([0.1, 0.0, 0.0]), none, none, outwards=outwards)
+    assert found is not None
+    np.testing.assert_allclose(found, 0.0, atol=1e-9)
+
+
+@settings(max_examples=200, deadline=None)
+@given(data=st.data())
+def test_hand_beyond_a_face_may_go_as_far_as_it_can_stop(data: st.DataObject) -> None:
+    """From the highest admitted velocity the fastest stop ends inside the tolerance."""
+    tolerance = data.draw(st.floats(1e-4, 0.02))
+    bounds = HandBounds(0.2, data.draw(st.floats(0.05, 5.0)), data.draw(st.floats(1.0, 100.0)))
+    low, high = np.array([-0.1, -0.2, 0.1]), np.array([0.1, 0.3, 0.4])
+    share = np.array(data.draw(st.lists(st.floats(-1.5, 1.5), min_size=3, max_size=3)))
+    position = (low + high) / 2.0 + share * (high - low) / 2.0
+    outwards = Faces(low, high, tolerance, bounds).outwards(position)
+    beyond = np.array([*(low - position), *(position - high)])
+    if outwards is None:
+        assert (beyond < 0.5 * tolerance).all()
+        return
+    for k in range(6):
+        if np.isinf(outwards[k]):
+            assert beyond[k] < 0.5 * tolerance
+        elif outwards[k] > 0.0:
+            _, furthest = stop_extent_of(
+                float(beyond[k]), float(outwards[k]), 0.0, bounds.acceleration, bounds.jerk
+            )
+            assert furthest < tolerance
+        else:
+            assert beyond[k] > 0.9 * tolerance
 
 
 @pytest.mark.parametrize(("profile", "speed"), [("lab", 0.15), ("careful", 0.04)])
