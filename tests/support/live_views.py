@@ -50,6 +50,8 @@ def gathering_viewer(path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]
     child = subprocess.Popen(
         [viewer.executable(), "--save", path, "--port", str(port), "--bind", "127.0.0.1"],
         stderr=subprocess.DEVNULL,
+        # A suite in a script's background is born with SIGINT ignored, and so would this child be.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     try:
         deadline = time.monotonic() + 60.0
