@@ -13,7 +13,7 @@ import json
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -79,15 +79,18 @@ def deploy(arguments: list[str]) -> dict[str, Any]:
 
 
 @contextmanager
-def chain(lag_ms: float, feed_forward: float) -> Iterator[str]:
-    """A bridge and an emulated controller; yields where the bridge listens."""
+def chain(
+    lag_ms: float, feed_forward: float, more: Sequence[str] = (), variation: str | None = None
+) -> Iterator[str]:
+    """A bridge, with more options, and an emulated controller; yields where the bridge listens."""
     locator = f"tcp/127.0.0.1:{free_port()}"
     right, left = (f"127.0.0.1:{free_port(socket.SOCK_DGRAM)}" for _ in range(2))
     bridge = ["egm", "--listen", locator, "--egm-listen", right, "--egm-listen-left", left]
-    bridge += ["--egm-feed-forward", str(feed_forward)]
+    bridge += ["--egm-feed-forward", str(feed_forward), *more]
     emulator = ["egm-emulator", "--egm-remote", right, "--egm-remote-left", left]
     emulator += ["--connect", locator, "--egm-lag-ms", str(lag_ms)]
     emulator += ["--egm-comm-timeout-s", str(EMULATED_COMM_TIMEOUT_S)]
+    emulator += [] if variation is None else ["--variation", variation]
     with _robot(bridge), _robot(emulator):
         yield locator
 

@@ -21,7 +21,7 @@ from skewmi.cli.robot_flags import require_motion_options
 from skewmi.cli.task_flags import variation_option
 from skewmi.deploy.joint_motion import JointMotionReport, run_joint_motion
 from skewmi.deploy.motion_link import JointMotionOptions
-from skewmi.deploy.robot.description import FLANGE_SPEED, RobotDescription
+from skewmi.deploy.robot.description import FLANGE_SPEED, RobotDescription, admitted
 from skewmi.deploy.wire.domain import ros_domain
 from skewmi.errors import ConfigurationError
 from skewmi.outputs import check_output
@@ -128,11 +128,11 @@ def planned(
 ) -> ChosenExcitation:
     """The motion, in the space that the robot server describes."""
     model = ServoModel(CONTACT_SERVO.kd / CONTACT_SERVO.kp, threads=2)
-    limits = joint_limits.profile(options.limits)
+    limits = admitted(joint_limits.profile(options.limits), described)
     space = clear_space(described, limits)
     # A bridge to a controller admits less than robots do otherwise: what runs on is bounded by it.
-    admitted = described.limits.get(FLANGE_SPEED, (asked.tcp_speed,))[0]
-    asked = replace(asked, tcp_speed=min(asked.tcp_speed, admitted))
+    flange_speed = described.limits.get(FLANGE_SPEED, (asked.tcp_speed,))[0]
+    asked = replace(asked, tcp_speed=min(asked.tcp_speed, flange_speed))
     tell("choosing a motion")
     return choose_excitation(asked, limits, space, model, CONTACT_SERVO, tell=tell)
 

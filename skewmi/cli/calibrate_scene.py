@@ -33,7 +33,7 @@ from skewmi.cli.scene_shapes import SceneBox, nominal_box
 from skewmi.cli.scene_touches import TouchPlanner
 from skewmi.cli.task_flags import variation_option
 from skewmi.deploy.motion_link import JointMotionOptions
-from skewmi.deploy.robot.description import RobotDescription
+from skewmi.deploy.robot.description import RobotDescription, admitted
 from skewmi.deploy.session.touch_plan import PlannedTouch
 from skewmi.deploy.touch_motion import TouchReport, run_touches
 from skewmi.deploy.wire.domain import ros_domain
@@ -163,7 +163,7 @@ def _touched(
         if before is not None:
             require_robot(before, described.backend, described.egm.get("speed_share"))
         tell("planning the touches")
-        limits = joint_limits.profile(options.limits)
+        limits = admitted(joint_limits.profile(options.limits), described)
         planner = TouchPlanner(described, limits, prediction.servo.parameters, tell)
         boxes.append(planner.box)
         return planner.touches()

@@ -16,6 +16,7 @@ from skewmi.deploy.recording.reader import run_metadata
 from skewmi.deploy.recording.recorder import Recorder
 from skewmi.deploy.robot.description import (
     RobotDescription,
+    admitted,
     limit_values,
     recorded_facts,
 )
@@ -101,8 +102,8 @@ def _on_link(
     stop: threading.Event,
     tell: Callable[[str], None],
 ) -> None:
-    limits = joint_limits.profile(options.limits)
     met = MetRobot.on(link, options)
+    limits = met.admitted(options.limits)
     robot, status, trust, described = met.robot, met.status, met.trust, met.described
     trajectory = plan(described)
     if options.dry_run:
@@ -145,7 +146,7 @@ def _recording(
     if options.record is None:
         yield
         return
-    limits = joint_limits.profile(options.limits)
+    limits = admitted(joint_limits.profile(options.limits), described)
     metadata = run_metadata(
         limits=limit_values(limits),
         scene=described.scene or None,

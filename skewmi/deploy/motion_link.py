@@ -7,7 +7,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from skewmi.deploy.robot.description import FLANGE_SPEED, RobotDescription
+from skewmi.deploy.robot.description import FLANGE_SPEED, RobotDescription, admitted
 from skewmi.deploy.robot.process import spawn_robot
 from skewmi.deploy.safety.checks import Check
 from skewmi.deploy.safety.limits import TCP_SPEED_LIMIT
@@ -20,6 +20,7 @@ from skewmi.deploy.session.trust import Trust
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.transport import Link, TransportConfig
 from skewmi.robot_models import limits as joint_limits
+from skewmi.robot_models.limits import JointLimits
 
 NODE_NAME = "skewmi_calibrate"
 
@@ -101,6 +102,10 @@ class MetRobot:
         check_pace(described, lock_step=options.lock_step)
         check_robot(joint_limits.profile(options.limits), described)
         return MetRobot(robot, status, trust, described)
+
+    def admitted(self, profile: str) -> JointLimits:
+        """A profile's limits as far as the robot follows them."""
+        return admitted(joint_limits.profile(profile), self.described)
 
     @property
     def flange_speed(self) -> float:

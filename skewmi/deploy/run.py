@@ -19,6 +19,7 @@ from skewmi.deploy.report import DeployReport
 from skewmi.deploy.robot.description import (
     SCENE_REQUEST,
     RobotDescription,
+    admitted,
     limit_values,
     recorded_facts,
 )
@@ -192,9 +193,9 @@ def _metadata(
     from skewmi.deploy.session.pace import planning_limits
 
     servos = None if known is None else servo_constants(known)
-    limits = planning_limits(options.limits, options.speed, servos)
     reply = link.call(topics.YUMI_DESCRIBE, 5.0, SCENE_REQUEST, only=trust.server)
     description = RobotDescription.from_json(reply.message)
+    limits = admitted(planning_limits(options.limits, options.speed, servos), description)
     return run_metadata(
         layout_json=policy.layout.to_json(),
         limits=limit_values(limits),

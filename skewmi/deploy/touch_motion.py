@@ -32,7 +32,6 @@ from skewmi.deploy.session.touch_run import TouchRun
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.messages import decode_joint_states
 from skewmi.deploy.wire.transport import LatestReader, Link
-from skewmi.robot_models import limits as joint_limits
 from skewmi.robot_models import yumi
 
 CREEP_SPEED = 0.005
@@ -117,8 +116,8 @@ def _on_link(
     stop: threading.Event,
     tell: Callable[[str], None],
 ) -> TouchReport:
-    limits = joint_limits.profile(options.limits)
     met = MetRobot.on(link, options)
+    limits = met.admitted(options.limits)
     robot, status, trust, described = met.robot, met.status, met.trust, met.described
     spaces = {name: open_space(described, name, limits) for name in (CALIBRATION, TOUCH)}
     checks = SwitchedChecks(spaces, met.flange_speed)

@@ -27,7 +27,6 @@ from skewmi.deploy.session.way_run import WayRun
 from skewmi.deploy.session.way_spaces import way_spaces
 from skewmi.deploy.wire.transport import Link
 from skewmi.policy_io import Array
-from skewmi.robot_models import limits as joint_limits
 
 Plan = Callable[[RobotDescription, WayPlanner], Sequence[Leg]]
 """What the robot server says of itself, and who finds ways from where its arm rests -> the way."""
@@ -99,8 +98,8 @@ def _on_link(
     stop: threading.Event,
     tell: Callable[[str], None],
 ) -> WayReport:
-    limits = joint_limits.profile(options.limits)
     met = MetRobot.on(link, options)
+    limits = met.admitted(options.limits)
     q = np.array(met.described.commanded_position)
     spaces = way_spaces(met.described, limits, q, slow=slow)
     legs = plan(met.described, WayPlanner(spaces, q))

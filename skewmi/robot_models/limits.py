@@ -7,7 +7,7 @@ profile only after watching the real robot follow it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import radians
 
 import numpy as np
@@ -64,6 +64,10 @@ class JointLimits:
                     f"limit profile {self.name!r}: {field} must be positive, "
                     f"got {getattr(self, field)}"
                 )
+
+    def no_faster(self, joint_speed: float) -> JointLimits:
+        """The same with no joint faster than that, rad/s; inf changes nothing."""
+        return replace(self, velocity=np.minimum(self.velocity, joint_speed))
 
 
 _VECTORS = ("position_lower", "position_upper", "velocity", "acceleration", "jerk", "torque")

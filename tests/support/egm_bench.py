@@ -39,7 +39,8 @@ class Bench:
         self.backend = EgmBackend(self.options, FixedGripper(0.014), leading=leading)
         rules = ValidationRules(joint_names=self.backend.joint_names, grid_ns=GRID_NS)
         speed = self.backend.admitted_speed
-        validator = ChunkValidator(rules, limit_check(LAB, None, speed))
+        limits = LAB.no_faster(self.backend.joint_speed)
+        validator = ChunkValidator(rules, limit_check(limits, None, speed))
         self.robot = RobotController(self.backend, validator)
         self.requests = RobotRequests(self.backend, self.robot)
         self.backend.open(lambda: True)
@@ -114,7 +115,8 @@ class Bench:
 
     def motion(self, start: np.ndarray, goal: np.ndarray) -> StartMotion:
         """From rest to rest, no faster than the bridge admits."""
-        return StartMotion(start, goal, LAB, flange_speed=min(self.backend.admitted_speed, 0.25))
+        limits = LAB.no_faster(self.backend.joint_speed)
+        return StartMotion(start, goal, limits, flange_speed=min(self.backend.admitted_speed, 0.25))
 
     def send_chunk(self, trajectory: object) -> None:
         self.sequence += 1

@@ -144,6 +144,10 @@ class RobotBackend(Protocol):
         """Largest speed of the flange that the robot can be left alone with, m/s; inf if any."""
 
     @property
+    def joint_speed(self) -> float:
+        """Largest speed of any joint that the robot follows, rad/s; inf if any."""
+
+    @property
     def slips(self) -> int:
         """How often cycles were left out because the server came too late."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from math import inf
 from typing import Any
 
 from skewmi.errors import TransportError
@@ -13,6 +14,8 @@ from skewmi.trajectory import GRID_NS
 
 FLANGE_SPEED = "flange_speed"
 """Key of `RobotDescription.limits`."""
+JOINT_SPEED = "joint_speed"
+"""Likewise."""
 
 EGM = "egm"
 """Key of a recording's metadata: `RobotDescription.egm`, a JSON object."""
@@ -47,8 +50,8 @@ class RobotDescription:
     stops: int
     """How often somebody has asked to stop since the robot server started."""
     limits: Mapping[str, tuple[float, ...]]
-    """The bounds of the limit profile per joint, so that both sides can compare them; and the
-    flange's speed, m/s, if the robot admits less of it than `safety.limits` does."""
+    """The bounds of the limit profile per joint, so that both sides can compare them; and, of
+    a robot that admits less, the flange's speed, m/s, and that of any joint, rad/s."""
     stop_paths: tuple[str, ...] = ()
     """Where the arm can be stopped by datagrams, such as udp/127.0.0.1:7447; see `stop_path`."""
     contact: Mapping[str, float] = field(default_factory=dict)
@@ -136,6 +139,11 @@ def recorded_facts(description: RobotDescription) -> dict[str, str]:
     if description.egm:
         facts[EGM] = json.dumps(dict(description.egm))
     return facts
+
+
+def admitted(limits: JointLimits, description: RobotDescription) -> JointLimits:
+    """A profile's limits as far as a robot follows them."""
+    return limits.no_faster(min(description.limits.get(JOINT_SPEED, (inf,))))
 
 
 def limit_values(limits: JointLimits) -> dict[str, tuple[float, ...]]:

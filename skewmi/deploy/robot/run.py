@@ -63,23 +63,27 @@ def serve_robot(
         TransportError: The port is in use, or the robot cannot be reached.
     """
     known = "" if calibration is None else fingerprint(calibration)
+    egm = _bridge(name, options)
     if calibration is not None:
-        require_robot(calibration, name, _speed_share(name, options))
+        require_robot(calibration, name, None if egm is None else egm.feed_forward)
         options = replace(
             options,
-            feed_forward=_feed_forward(calibration, limits),
+            feed_forward=_feed_forward(
+                calibration, limits if egm is None else limits.no_faster(egm.joint_speed)
+            ),
             low_pass_s=low_pass_s(calibration),
         )
     # The port first: a taken one is reported before a scene is compiled.
     with Link.open(config, NODE_NAME) as link:
         backend = make_backend(name, replace(options, link=link))
+        enforced = limits.no_faster(backend.joint_speed)
         workspace = None if backend.scene is None else backend.scene.workspace
         spaces = spaces_of(backend.scene)
         rules = ValidationRules(joint_names=backend.joint_names, grid_ns=GRID_NS)
         validator = ChunkValidator(
             rules,
-            limit_check(limits, workspace, backend.admitted_speed),
-            space_checks(limits, spaces, backend.admitted_speed),
+            limit_check(enforced, workspace, backend.admitted_speed),
+            space_checks(enforced, spaces, backend.admitted_speed),
         )
         warm_up(backend, validator)
         controller = RobotController(
@@ -93,11 +97,11 @@ def serve_robot(
         server.run(stop, on_ready)
 
 
-def _speed_share(name: str, options: BackendOptions) -> float | None:
-    """What a bridge sends of the plan's speed; None for other robots."""
+def _bridge(name: str, options: BackendOptions) -> EgmOptions | None:
+    """Of a bridge to a controller; None for other robots."""
     if name != "egm":
         return None
-    return (EgmOptions() if options.egm is None else options.egm).feed_forward
+    return EgmOptions() if options.egm is None else options.egm
 
 
 def _feed_forward(calibration: Calibration, limits: JointLimits) -> FeedForward:

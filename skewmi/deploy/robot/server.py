@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from math import isfinite
 
 from skewmi.deploy.realtime import hot_loop
 from skewmi.deploy.robot.backend import (
@@ -23,6 +24,7 @@ from skewmi.deploy.robot.backend import (
 from skewmi.deploy.robot.controller import RobotController
 from skewmi.deploy.robot.description import (
     FLANGE_SPEED,
+    JOINT_SPEED,
     SCENE_REQUEST,
     RobotDescription,
     limit_values,
@@ -221,7 +223,7 @@ class RobotServer:
             joint_names=backend.joint_names,
             commanded_position=controller.arm_motion.commanded_position(),
             stops=self._requests.stops,
-            limits=limit_values(limits) | _flange_speed(backend),
+            limits=limit_values(limits) | _speeds(backend),
             stop_paths=() if self._stop_path is None else self._stop_path.where,
             contact={} if scene is None else scene.contact(),
             scene=scene.shapes_json if with_scene and scene is not None else "",
@@ -270,7 +272,11 @@ def _no_preparation() -> Iterator[list[str]]:
     yield []
 
 
-def _flange_speed(backend: RobotBackend) -> dict[str, tuple[float, ...]]:
+def _speeds(backend: RobotBackend) -> dict[str, tuple[float, ...]]:
     """What the robot admits, if that is less than what everybody keeps to."""
-    speed = backend.admitted_speed
-    return {FLANGE_SPEED: (speed,)} if speed < TCP_SPEED_LIMIT else {}
+    told: dict[str, tuple[float, ...]] = {}
+    if backend.admitted_speed < TCP_SPEED_LIMIT:
+        told[FLANGE_SPEED] = (backend.admitted_speed,)
+    if isfinite(backend.joint_speed):
+        told[JOINT_SPEED] = (backend.joint_speed,)
+    return told

@@ -10,7 +10,7 @@ from skewmi.calibration.calibration_use import servo_constants
 from skewmi.deploy.motion.planner import Planner
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.report import DeployReport
-from skewmi.deploy.robot.description import FLANGE_SPEED, RobotDescription
+from skewmi.deploy.robot.description import FLANGE_SPEED, RobotDescription, admitted
 from skewmi.deploy.safety.checks import ChunkChecks
 from skewmi.deploy.safety.limits import TCP_SPEED_LIMIT
 from skewmi.deploy.session.agreement import check_agreement, check_pace
@@ -67,10 +67,10 @@ def connect(
     """
     layout, workspace = policy.layout, require_workspace(policy.layout)
     servos = None if known is None else servo_constants(known)
-    limits = planning_limits(options.limits, options.speed, servos)
     shown = PolicyTopics.open(link, layout)
     robot, status, trust = _ends_of(link, shown, options)
     described = trust.meet(with_scene=True)
+    limits = admitted(planning_limits(options.limits, options.speed, servos), described)
     check_pace(described, lock_step=options.lock_step)
     check_agreement(layout, options.robot_model_hash, limits, described)
     status.clock_ns = described.clock_ns

@@ -38,6 +38,7 @@ class HoldBackend:
 
     name = "hold"
     admitted_speed = inf
+    joint_speed = inf
     scene: Scene | None = None
 
     def __init__(

@@ -70,6 +70,7 @@ class EgmBackend:
         fingers = () if gripper is None else yumi.finger_names("right")[:1]
         self.state_names: tuple[str, ...] = (*self.joint_names, *fingers)
         self.admitted_speed = options.admitted_speed
+        self.joint_speed = options.joint_speed
         self.slips = 0
         self.delay = DelayEstimate()
         self.command: JointPoint | None = None

@@ -16,6 +16,9 @@ LEFT_ARM_TOLERANCE = radians(2.0)
 """How far a joint of the left arm may be from where the collision check takes it to be, rad: at
 the elbow some 10 mm."""
 
+_PLANNED_SHARE = 0.9
+"""Of MaxSpeedDeviation, beyond which a controller slows all joints down and is no longer where it
+was told to be: a reference that is a cycle late asks for 8 % more, with a gain of 20 /s."""
 _BEND = 0.03
 """By how much the flange's way may be longer than its speed says, since joints go round: 10 mm
 half a metre from the nearest axis are 0.02 rad."""
@@ -71,3 +74,8 @@ class EgmOptions:
     def admitted_speed(self) -> float:
         """Largest flange speed at which the arm runs on no farther than `run_on_limit`, m/s."""
         return (1.0 - _BEND) * self.run_on_limit / self.program.runs_on_s(self.feed_forward)
+
+    @property
+    def joint_speed(self) -> float:
+        """Largest joint speed of a plan, rad/s: what the law adds for errors has to fit, too."""
+        return _PLANNED_SHARE * radians(self.program.max_speed_deviation_deg_s)

@@ -33,6 +33,7 @@ class MujocoBackend:
 
     name = "sim"
     admitted_speed = inf
+    joint_speed = inf
     period_ns = GRID_NS
 
     def __init__(self, simulation: ArmSimulation | None = None, *, lock_step: bool = False) -> None:
