@@ -48,7 +48,7 @@ def command(*arguments: str) -> dict[str, Any]:
 
 def one_robot(args: argparse.Namespace, number: int) -> dict[str, Any]:
     rng = np.random.default_rng([args.seed, number])
-    robot = json.loads(UnknownRobot.draw(rng).variation())
+    robot = json.loads(UnknownRobot.draw(rng, args.lid).variation())
     robot["box_pose"] = {
         name: float(args.pose * rng.uniform(-bound, bound))
         for name, bound in (("x", 0.005), ("y", 0.005), ("yaw_deg", 3.0))
@@ -121,6 +121,7 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=2, help="deployed, of each robot")
     parser.add_argument("--simulated", type=int, default=20, help="episodes; 0 for none")
     parser.add_argument("--pose", type=float, default=1.0, help="part of the box's displacement")
+    parser.add_argument("--lid", type=float, nargs=2, help="friction of the lid from, to, N m")
     parser.add_argument("--rows", type=Path, default=None, help="file of finished robots (JSONL)")
     parser.add_argument("--processes", type=int, default=1, help="robots at the same time")
     args = parser.parse_args()
@@ -139,7 +140,7 @@ def main() -> None:
                 f"{row.get('simulated_after')} of {args.simulated}, deployed "
                 f"{row['deployed_before']} -> {row['deployed_after']} of {args.episodes}"
             )
-    keys = ("policy", "robots", "seconds", "episodes", "simulated", "pose")
+    keys = ("policy", "robots", "seconds", "episodes", "simulated", "pose", "lid")
     document = write_result(
         "calibrated_deployment",
         {"summary": summary(args, rows), "each": rows},

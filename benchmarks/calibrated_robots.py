@@ -2,8 +2,10 @@
 
 Robots are drawn from the documented ranges (stiffness and damping 0.4 to 1.6 of the nominal ones,
 dry friction 0 to 2 N m and 0.5 in the wrist, delay 0 to 40 ms, contact friction 0.3 to 1.2); their
-lids stay where they are left. Each runs in the batched simulation as it is, and again with a
-calibration file that has its constants with a relative error of 1.5 % (standard deviation).
+lids stay where they are left, unless `--lid` says otherwise: with less friction than 0.1 N m they
+fall shut by themselves, and up to which angle depends on it. Each runs in the batched simulation as
+it is, and again with a calibration file that has its constants with a relative error of 1.5 %
+(standard deviation).
 
     python benchmarks/calibrated_robots.py --robots 8 --episodes 20 --json
 """
@@ -13,7 +15,8 @@ from __future__ import annotations
 import argparse
 import json
 import tempfile
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -47,16 +50,19 @@ class UnknownRobot:
     """N m."""
     delay_ms: float
     contact_friction: float
+    lid_friction: float | None = None
+    """N m; None for the nominal one."""
 
     @staticmethod
-    def draw(rng: np.random.Generator) -> UnknownRobot:
-        return UnknownRobot(
+    def draw(rng: np.random.Generator, lid: Sequence[float] | None = None) -> UnknownRobot:
+        robot = UnknownRobot(
             rng.uniform(0.4, 1.6, 7),
             rng.uniform(0.4, 1.6, 7),
             rng.uniform(0.0, LARGEST_FRICTION),
             float(rng.uniform(0.0, 40.0)),
             float(rng.uniform(0.3, 1.2)),
         )
+        return robot if lid is None else replace(robot, lid_friction=float(rng.uniform(*lid)))
 
     def variation(self) -> str:
         """The content of a variation file that says what it is."""
@@ -66,7 +72,9 @@ class UnknownRobot:
             "frictionloss": self.frictionloss.tolist(),
             "delay_ms": self.delay_ms,
         }
-        return json.dumps({"servo": servo, "contact": {"friction": self.contact_friction}})
+        robot = {"servo": servo, "contact": {"friction": self.contact_friction}}
+        lid = {} if self.lid_friction is None else {"lid": {"frictionloss": self.lid_friction}}
+        return json.dumps(robot | lid)
 
     def calibration(self, error: float, rng: np.random.Generator) -> Calibration:
         """What is known of it, each constant with this relative error (standard deviation)."""
@@ -99,7 +107,7 @@ def successes(policy: Policy, args: argparse.Namespace, options: dict[str, Any])
 
 def one_robot(policy: Policy, args: argparse.Namespace, number: int) -> dict[str, Any]:
     rng = np.random.default_rng([args.seed, number])
-    robot = UnknownRobot.draw(rng)
+    robot = UnknownRobot.draw(rng, args.lid)
     varied = {"variation": robot.variation()}
     before = successes(policy, args, varied)
     with tempfile.TemporaryDirectory() as folder:
@@ -130,6 +138,7 @@ def main() -> None:
     parser.add_argument("--robots", type=int, default=8)
     parser.add_argument("--episodes", type=int, default=20, help="of each robot")
     parser.add_argument("--error", type=float, default=0.015, help="of a calibration's constants")
+    parser.add_argument("--lid", type=float, nargs=2, help="friction of the lid from, to, N m")
     parser.add_argument("--threads", type=int, default=0, help="0 for all cores")
     args = parser.parse_args()
     policy = load_policy_from(Path(args.policy), "latest")
@@ -139,7 +148,9 @@ def main() -> None:
         {"summary": summary(args, rows), "each": rows},
         args.out,
         seed=args.seed,
-        config={key: getattr(args, key) for key in ("policy", "robots", "episodes", "error")},
+        config={
+            key: getattr(args, key) for key in ("policy", "robots", "episodes", "error", "lid")
+        },
     )
     print_result(document, as_json=args.json)
 
