@@ -7,7 +7,7 @@ TORCH ?= torch==2.13.0
 BIN := $(VENV)/bin
 JOBS ?= 2
 
-.PHONY: demo test test-slow fuzz mutation check format bench structure policy docs constraints clean help
+.PHONY: demo test test-slow fuzz mutation check format bench structure policy loose-lid-policy docs constraints clean help
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
@@ -62,6 +62,17 @@ policy: $(VENV)/installed  ## train the bundled policy again (some 30 minutes) i
 	$(BIN)/skewmi train --task open_press_close --run-dir runs/seed-0 --stop-on-convergence --resume
 	$(BIN)/skewmi train --start-from runs/seed-0 --run-dir runs/robust --variation randomised --steps 660000
 	$(BIN)/skewmi export-onnx runs/robust --out runs/open_press_close.onnx
+
+LIDS := benchmarks/loose_lids
+LOOSE := $(BIN)/skewmi train --resume --run-dir runs/loose
+loose-lid-policy: $(VENV)/installed  ## train the one for lids that fall (some 50 minutes) into runs/
+	$(LOOSE)-1 --task open_press_close --option time_input=true --variation $(LIDS)/stage-1.yaml --steps 525000
+	$(LOOSE)-2 --start-from runs/loose-1 --variation $(LIDS)/stage-2.yaml --steps 1140000
+	$(LOOSE)-3 --start-from runs/loose-2 --variation $(LIDS)/stage-3.yaml --steps 1480000
+	$(LOOSE)-4 --start-from runs/loose-3 --variation $(LIDS)/stage-4.yaml --steps 1795000
+	$(LOOSE)-5 --start-from runs/loose-4 --variation $(LIDS)/stage-5.yaml --steps 2150000
+	$(LOOSE)-6 --start-from runs/loose-5 --variation $(LIDS)/stage-6.yaml --steps 2500000
+	$(BIN)/skewmi export-onnx runs/loose-6 --out runs/open_press_close_loose_lid.onnx
 
 docs: $(VENV)/installed  ## the pages as a static site in build/site; a broken link fails
 	@$(BIN)/python -c 'import mkdocstrings_handlers, material' 2>/dev/null || \
