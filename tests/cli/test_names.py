@@ -109,4 +109,5 @@ def test_what_was_meant_is_guessed(
 def test_help_of_deploy_names_the_bundled_policies(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["deploy", "--help"])
-    assert [name for name in policies.bundled() if name not in capsys.readouterr().out] == []
+    told = capsys.readouterr().out
+    assert [name for name in policies.bundled() if name not in told] == []
