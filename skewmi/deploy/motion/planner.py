@@ -15,9 +15,9 @@ tolerance) and the tool's speed limit. Otherwise `step` returns the rest of the 
 which the same is known: by induction there is always a stop that has been checked.
 
 No lock-up: near a joint bound or a face of the box the velocities are cut beforehand to what can
-be stopped, so that the check rarely fails; when it does, the shaped command is put back to where
-the braking hand is, and motion away from the obstacle starts from there. What is tried next is
-slower by half, and again, until it passes: from rest the same attempt would fail for ever.
+be stopped, so that the check rarely fails; then the shaped command is put back to where the braking
+hand is. What is tried next is slower by half, and again, until it passes: from rest the same
+attempt would fail for ever.
 """
 
 from __future__ import annotations
@@ -51,8 +51,7 @@ TOLERANCE_SHARE = 0.95
 """Part of the checker's workspace tolerance and tool speed that plans use."""
 
 HASTE_LOST, HASTE_REGAINED = 0.5, 1.5
-"""By what the joints' velocities are multiplied after a cycle that was held back, and after each
-that was not until they are their own again."""
+"""Factors on the joints' velocities after a cycle held back, and after each other one up to 1."""
 
 LEAST_HASTE = 2.0**-10
 
@@ -91,8 +90,7 @@ class Planner:
         self._faces = Faces(self._low, self._high, self._tolerance, self.hand_bounds)
         self._reference = Reference(np.array(workspace.start))
         self._smoothed = SmoothedReference(self._reference.position_w)
-        # Where x was when the arm was told to be where it is now: the joint shaper's lag is no
-        # error that the feedback should catch up with, it would overshoot every stop.
+        # Where x was for where the arm is now: to catch up with the shaper's lag overshoots stops.
         self._shaped = deque([self._hand.position_w], 1 + self._joints.lag_steps)
         self._chunk: JointTrajectory | None = None
         self._haste = 1.0
@@ -230,8 +228,8 @@ class Planner:
         self._shaped.append(hand.position_w)
         low, high = (self._haste * bound for bound in joints.velocity_bounds())
         rate = joints.feedback_rate(FEEDBACK_RATE)
-        outwards = self._faces.outwards(at)
-        wanted = self._ik.solve(due_w - self._base, hand.velocity_w, low, high, rate, outwards)
+        where, faces = due_w - self._base, self._faces.outwards(at)
+        wanted = self._ik.solve(where, hand.velocity_w, low, high, rate, faces)
         joints.step(_REST if wanted is None else wanted, low, high)
 
     def _advance_reference(self) -> None:
