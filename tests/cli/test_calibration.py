@@ -81,6 +81,8 @@ def test_a_file_that_is_not_there_or_of_another_robot_is_refused_in_one_line(
 def test_who_has_no_use_for_one_says_so(
     arguments: list[str], said: str, file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    if "hold" in arguments:  # Whatever listens at the usual port.
+        arguments = [*arguments, "--listen", f"tcp/127.0.0.1:{free_port()}"]
     assert main([*arguments, "--calibration", str(file)]) == 2
     assert said in " ".join(capsys.readouterr().err.split())
 
