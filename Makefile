@@ -65,7 +65,7 @@ policy: $(VENV)/installed  ## train the bundled policy again (some 30 minutes) i
 
 LIDS := benchmarks/loose_lids
 LOOSE := $(BIN)/skewmi train --resume --run-dir runs/loose
-loose-lid-policy: $(VENV)/installed  ## train the one for lids that fall (some 50 minutes) into runs/
+loose-lid-policy: $(VENV)/installed  ## train the one for lids that fall (an hour or more) into runs/
 	$(LOOSE)-1 --task open_press_close --option time_input=true --variation $(LIDS)/stage-1.yaml --steps 525000
 	$(LOOSE)-2 --start-from runs/loose-1 --variation $(LIDS)/stage-2.yaml --steps 1140000
 	$(LOOSE)-3 --start-from runs/loose-2 --variation $(LIDS)/stage-3.yaml --steps 1480000

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 from common import argument_parser, print_result, progress, write_result
-from egm_episodes import _SKEWMI, chain
+from egm_episodes import SKEWMI, chain
 
 CLOSED_MM = "5"
 """Opening of the fingers that touch."""
@@ -27,7 +27,7 @@ CLOSED_MM = "5"
 def command(*arguments: str) -> dict[str, Any]:
     """What a command prints with --json, and its exit code."""
     result = subprocess.run(
-        [*_SKEWMI, *arguments, "--json"], stdout=subprocess.PIPE, text=True, check=False
+        [*SKEWMI, *arguments, "--json"], stdout=subprocess.PIPE, text=True, check=False
     )
     document: dict[str, Any] = json.loads(result.stdout.strip().splitlines()[-1])
     return document | {"exit": result.returncode}

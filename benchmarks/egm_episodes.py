@@ -68,7 +68,7 @@ def main() -> None:
 def deploy(arguments: list[str]) -> dict[str, Any]:
     """`skewmi deploy` with these; what of its report is kept."""
     result = subprocess.run(
-        [*_SKEWMI, "deploy", *arguments], stdout=subprocess.PIPE, text=True, check=False
+        [*SKEWMI, "deploy", *arguments], stdout=subprocess.PIPE, text=True, check=False
     )
     report = json.loads(result.stdout)
     kept = {key: report[key] for key in KEPT}
@@ -98,7 +98,7 @@ def chain(
 @contextmanager
 def _robot(arguments: list[str]) -> Iterator[None]:
     child = subprocess.Popen(
-        [*_SKEWMI, "robot", "--backend", *arguments, "--json", "--end-with-input"],
+        [*SKEWMI, "robot", "--backend", *arguments, "--json", "--end-with-input"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
@@ -114,7 +114,7 @@ def _robot(arguments: list[str]) -> Iterator[None]:
         child.wait(20)
 
 
-_SKEWMI = [sys.executable, "-m", "skewmi.cli.main"]
+SKEWMI = [sys.executable, "-m", "skewmi.cli.main"]
 
 
 if __name__ == "__main__":
