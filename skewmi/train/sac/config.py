@@ -54,16 +54,17 @@ class SacConfig(LearnerConfig):
     rare_fraction: float = 0.25
     """Fraction of a batch from the episodes in which the present proposals were met."""
 
-    engine: Literal["auto", "eager", "compiled"] = "auto"
+    engine: Literal["auto", "eager", "compiled", "captured"] = "auto"
     """How an update is computed: `eager`, operation by operation; `compiled`, in one function of
-    C++ code; `auto`: compiled on the device cpu where a C++ compiler is found. A run that goes on
-    keeps the engine that it began with, which its checkpoints name."""
+    C++ code; `captured`, as one CUDA graph; `auto`: compiled on the device cpu where a C++ compiler
+    is found, captured on the device cuda. A run that goes on keeps the engine that it began with,
+    which its checkpoints name."""
     compile_after: int = 5_000
     """Updates that are computed operation by operation first: to compile takes a minute or less,
     which short runs do better without."""
 
     def __post_init__(self) -> None:
-        engines = ("auto", "eager", "compiled")
+        engines = ("auto", "eager", "compiled", "captured")
         require(self.engine in engines, f"engine is {self.engine!r}; allowed: {', '.join(engines)}")
         require(self.compile_after >= 1, f"compile_after is {self.compile_after}, needs at least 1")
         require(len(self.hidden) > 0 and min(self.hidden) > 0, f"hidden layers {self.hidden}")

@@ -16,8 +16,8 @@ import torch
 from torch import Tensor, nn
 
 from skewmi.errors import CheckpointError
-from skewmi.train.sac.compiled import CompiledUpdate, can_compile, chosen_engine
 from skewmi.train.sac.config import SacConfig
+from skewmi.train.sac.engines import WholeUpdate, chosen_engine, kept_engine, make_whole_update
 from skewmi.train.sac.networks import Actor, Critics
 from skewmi.train.state import State
 
@@ -88,8 +88,8 @@ class Sac:
         self.generator = torch.Generator(self.device).manual_seed(seed)
         self.updates = 0
         self.engine = chosen_engine(config.engine, self.device)
-        """`eager` or `compiled`: how an update is computed, after the first ones."""
-        self._compiled: CompiledUpdate | None = None
+        """`eager`, `compiled` or `captured`: how an update is computed, after the first ones."""
+        self._whole: WholeUpdate | None = None
 
     def act(self, inputs: Tensor, deterministic: bool = False) -> Tensor:
         """Actions for inputs (n, input_dim). Shape (n, action_dim)."""
@@ -120,11 +120,11 @@ class Sac:
         Raises:
             ConfigurationError: It cannot be compiled here.
         """
-        if self.engine == "compiled" and self.updates >= self.config.compile_after:
-            if self._compiled is None:
-                self._compiled = CompiledUpdate(self)
+        if self.engine != "eager" and self.updates >= self.config.compile_after:
+            if self._whole is None:
+                self._whole = make_whole_update(self)
             noises = self._noise(len(batch)), self._noise(len(batch))
-            scalars = self._compiled(batch, *noises)
+            scalars = self._whole(batch, *noises)
         else:
             scalars = self._eager_update(batch)
         self.updates += 1
@@ -187,14 +187,8 @@ class Sac:
                 compiled, and cannot be here.
         """
         if self.config.engine == "auto":
-            self.engine = state.get("engine", "eager")
-            if self.engine == "compiled" and not can_compile(self.device):
-                raise CheckpointError(
-                    "the run's updates were compiled, and there is no C++ compiler here: install "
-                    "one (g++ and python3-dev), or begin another run with its networks, "
-                    "--start-from RUN --learner.engine eager"
-                )
-        self._compiled = None  # It holds the moments that are replaced here.
+            self.engine = kept_engine(state.get("engine", "eager"), self.device)
+        self._whole = None  # It holds the moments that are replaced here.
         try:
             for name, module in self._modules():
                 module.load_state_dict(state[name])

@@ -14,7 +14,7 @@ from train_runs import resumes_alike
 
 from skewmi.errors import CheckpointError, ConfigurationError
 from skewmi.train.sac import compiled as compiled_module
-from skewmi.train.sac import sac as sac_module
+from skewmi.train.sac import engines as engines_module
 from skewmi.train.sac.compiled import CompiledUpdate, can_compile
 from skewmi.train.sac.config import SacConfig
 from skewmi.train.sac.sac import Batch, Sac
@@ -49,7 +49,7 @@ def without_code(monkeypatch: pytest.MonkeyPatch) -> list[CompiledUpdate]:
         made.append(CompiledUpdate(sac, backend="eager"))
         return made[-1]
 
-    monkeypatch.setattr(sac_module, "CompiledUpdate", make)
+    monkeypatch.setattr(engines_module, "CompiledUpdate", make)
     monkeypatch.setattr(shutil, "which", lambda name: f"/usr/bin/{name}")
     monkeypatch.setattr(compiled_module, "has_headers", lambda: True)
     return made
@@ -142,7 +142,7 @@ def test_a_compiler_that_fails_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
         made._update = broken  # type: ignore[assignment]
         return made
 
-    monkeypatch.setattr(sac_module, "CompiledUpdate", make)
+    monkeypatch.setattr(engines_module, "CompiledUpdate", make)
     sac = Sac(COMPILED, 5, 2, seed=0)
     given = batches(4)
     for batch in given[:3]:
