@@ -22,16 +22,16 @@ from skewmi.calibration.egm_law import EgmLaw, desired_motions
 from skewmi.calibration.egm_model import SAME_PERIOD, EgmArm, EgmModel, EgmRecording
 from skewmi.calibration.egm_parameters import EgmUnknowns
 from skewmi.calibration.servo_estimates import Estimate
-from skewmi.calibration.servo_identification import (
+from skewmi.calibration.servo_fit import (
     HANG_TOGETHER_S,
     RESOLUTION,
     SETTLE_S,
     STEP,
     XTOL,
     joint_rms,
-    require_motion,
     weighted_columns,
 )
+from skewmi.calibration.servo_identification import require_motion
 from skewmi.calibration.servo_model import DelayedServo, ServoModel
 from skewmi.calibration.servo_parameters import ServoUnknowns
 from skewmi.calibration.servo_recording import ServoRecording

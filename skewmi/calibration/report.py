@@ -23,7 +23,7 @@ from skewmi.calibration.report_parts import (
     row,
     table,
 )
-from skewmi.calibration.servo_identification import SETTLE_S
+from skewmi.calibration.servo_fit import SETTLE_S
 from skewmi.calibration.servo_model import DelayedServo, ServoModel
 from skewmi.calibration.servo_parameters import ServoUnknowns
 from skewmi.calibration.servo_section import servo_start

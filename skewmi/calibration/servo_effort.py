@@ -15,7 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skewmi.calibration.servo_estimates import Estimate, is_known
-from skewmi.calibration.servo_identification import SETTLE_S, ServoIdentification
+from skewmi.calibration.servo_fit import SETTLE_S
+from skewmi.calibration.servo_identification import ServoIdentification
 from skewmi.calibration.servo_model import DelayedServo, ServoModel
 from skewmi.calibration.servo_recording import ServoRecording
 from skewmi.calibration.uncertainty import TWO_SIDED_95, autocorrelation_time

@@ -9,42 +9,27 @@ for white (`uncertainty` says why they are not). So nothing beyond mujoco itself
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from mujoco import minimize
-from numpy.typing import NDArray
 
 from skewmi.calibration.servo_estimates import Estimate, estimates
+from skewmi.calibration.servo_fit import SETTLE_S, ServoFit, autocorrelation_times, joint_rms
 from skewmi.calibration.servo_model import DelayedServo, ServoModel
 from skewmi.calibration.servo_parameters import ServoUnknowns
 from skewmi.calibration.servo_recording import ServoRecording
-from skewmi.calibration.servo_starts import first_start, other_starts
-from skewmi.calibration.uncertainty import autocorrelation_time, fit_covariance
+from skewmi.calibration.servo_rivals import BETTER, outside, remaining_rivals, with_its_delay
+from skewmi.calibration.servo_search import LEAST_MOTION, SearchedServos, ServoSearch
+from skewmi.calibration.uncertainty import FitCovariance
 from skewmi.errors import ConfigurationError
 from skewmi.robot_models.servo import ServoParameters
 from skewmi.robot_models.yumi import Array
 
-SETTLE_S = 0.5
-"""Left out after the motion begins, s: friction holds a resting joint anywhere around its command,
-and it takes a movement until the simulated joint is where the real one is."""
-RESOLUTION = 1e-5
-"""Least standard deviation of a residual, rad: no encoder and no integrator is better."""
-TRIES = 5
-STUCK_MEMORY = 1.6
-"""Autocorrelation time of a joint's residual, in samples, from which it may be stuck."""
-BETTER = 0.98
-"""Of a joint's squared residual, to be taken for better."""
-LOOK_S = 12.0
-"""Of a recording that a start is judged by, s."""
-STEP = 1e-4
-XTOL = 1e-4
-"""Of the parameters, relative: a tenth of what the best recordings tell."""
-ITERATIONS, ITERATIONS_AGAIN = 40, 8
-NOT_EQUAL = 1.5
-"""Ratio of the joints' residuals from which the fit is repeated with weights for it."""
-HANG_TOGETHER_S = 1.0
+ITERATIONS, ITERATIONS_AGAIN = 12, 6
+"""On all of the motion, before and after the joints are weighted anew."""
+ROUNDS = 2
+"""Times that what is found may give way to a better rival."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,128 +91,48 @@ class ServoIdentifier:
             raise ConfigurationError("servos are identified from one recording at least; got none")
         for recording in recordings:
             require_motion(recording)
-        self._model, self._recordings = model, tuple(recordings)
         self._unknowns = ServoUnknowns(nominal, free_armature)
         self._inertia = inertia_uncertainty
-        self._rows = [r.times_s >= r.motion_begins_s + SETTLE_S for r in recordings]
+        self._fit = ServoFit(model, recordings, self._unknowns)
+        self._search = ServoSearch(model, recordings, self._unknowns)
+        self._seconds = sum(float(np.ptp(recording.times_s)) for recording in recordings)
 
     def run(self, start: DelayedServo | None = None) -> ServoIdentification:
         """Identify.
 
         Args:
-            start: Where to begin, of an earlier calibration; without it several are tried.
+            start: Where to begin, of an earlier calibration; without it all over the range.
         """
-        nominal = self._unknowns.nominal
-        seconds = sum(float(np.ptp(r.times_s)) for r in self._recordings)
-        vector = self._start() if start is None else self._unknowns.vector(start)
-        weight = np.full(7, 1.0 / RESOLUTION)
-        if seconds > 2.0 * LOOK_S:
-            # Most of the way on a part of the motion, at a part of the time.
-            part = ServoIdentifier(
-                self._model,
-                (first_seconds(self._recordings[0]),),
-                nominal,
-                free_armature=self._unknowns.free_armature,
-            )
-            vector = part._settled(vector, weight)
-            vector = self._minimised(vector, weight, ITERATIONS)
-        else:
-            vector = self._settled(vector, weight)
-        residual = self._residual(vector[:, None])[..., 0]
-        sigma = self._sigma(residual)
-        if sigma.max() > NOT_EQUAL * sigma.min():
-            weight = 1.0 / sigma
-            vector = self._minimised(vector, weight, ITERATIONS_AGAIN)
-            residual = self._residual(vector[:, None])[..., 0]
-            sigma = self._sigma(residual)
-        lags = round(HANG_TOGETHER_S * len(residual) / seconds)
-        covariance = fit_covariance(residual, self._jacobian(vector), weight, sigma, lags)
-        far = self._residual(self._unknowns.vector(DelayedServo(nominal, 0.0))[:, None])
+        unknowns = self._unknowns
+        searched = self._search.run(None if start is None else unknowns.vector(start))
+        vector, residual, covariance = self._fitted(searched)
+        far = unknowns.vector(DelayedServo(unknowns.nominal, 0.0))
         return ServoIdentification(
-            servo=self._unknowns.servo(vector),
-            estimates=estimates(self._unknowns, vector, covariance, self._inertia),
+            servo=unknowns.servo(vector),
+            estimates=estimates(unknowns, vector, covariance, self._inertia),
             residual_rms=joint_rms(residual),
-            autocorrelation_time=np.array([autocorrelation_time(c) for c in residual.T]),
-            nominal_rms=float(np.sqrt((far**2).mean())),
-            seconds_of_motion=seconds,
+            autocorrelation_time=autocorrelation_times(residual),
+            nominal_rms=float(np.sqrt(self._fit.squares(far[:, None]).mean())),
+            seconds_of_motion=self._seconds,
         )
 
-    def _start(self) -> Array:
-        return first_start(self._model, self._unknowns, first_seconds(self._recordings[0]))
-
-    def _settled(self, vector: Array, weight: Array) -> Array:
-        """The minimum, sought again from elsewhere for joints whose residual is not noise.
-
-        The valleys of stiffness, damping and friction are long and bent: a joint can be stuck far
-        off, where its ratios to the stiffness are nearly right.
-        """
-        vector = self._minimised(vector, weight, ITERATIONS)
-        for rank in range(TRIES):
-            residual = self._residual(vector[:, None])[..., 0]
-            memory = np.array([autocorrelation_time(column) for column in residual.T])
-            stuck = np.flatnonzero(memory > STUCK_MEMORY)
-            if not stuck.size:
+    def _fitted(self, searched: SearchedServos) -> tuple[Array, Array, FitCovariance]:
+        """What was searched, fitted to all of the motion: vector, residual, and how far it may be
+        off, which is as far as any rival that the data do not tell from it."""
+        vector, rivals = searched.vector, searched.rivals
+        for _ in range(ROUNDS):
+            best = self._fit.descended(vector, ITERATIONS)
+            best = self._fit.descended(best, ITERATIONS_AGAIN)
+            rivals = with_its_delay(rivals, vector, best)
+            vector, rivals, loss = best, *remaining_rivals(self._fit, best, rivals)
+            if loss.min(initial=0.0) > -BETTER:
                 break
-            others = other_starts(self._unknowns, vector)
-            order = (self._residual(others) ** 2).sum(axis=0).argsort(axis=1)
-            tried = vector
-            for joint in stuck:
-                tried = self._with_joints(
-                    tried, others[:, order[joint, rank]], stuck[stuck == joint]
-                )
-            tried = self._minimised(tried, weight, ITERATIONS)
-            found = self._residual(tried[:, None])[..., 0]
-            better = (found**2).sum(axis=0) < BETTER * (residual**2).sum(axis=0)
-            if better.any():
-                vector = self._with_joints(vector, tried, np.flatnonzero(better))
-                vector[-1] = tried[-1]
-                vector = self._minimised(vector, weight, ITERATIONS)
-        return vector
-
-    def _with_joints(self, vector: Array, other: Array, joints: NDArray[np.int64]) -> Array:
-        """A vector with some joints' numbers of another one."""
-        rows = (7 * np.arange(self._unknowns.size // 7)[:, None] + joints).ravel()
-        mixed: Array = vector.copy()
-        mixed[rows] = other[rows]
-        return mixed
-
-    def _residual(self, vectors: Array) -> Array:
-        """Simulated less measured positions, rad. (p, k) -> (m, 7, k)."""
-        servos = [self._unknowns.servo(column) for column in vectors.T]
-        parts = [
-            (self._model.positions(servos, recording) - recording.positions)[:, rows]
-            for recording, rows in zip(self._recordings, self._rows, strict=True)
-        ]
-        residual: Array = np.concatenate(parts, axis=1).transpose(1, 2, 0)
-        return residual
-
-    def _minimised(self, vector: Array, weight: Array, iterations: int) -> Array:
-        found, _ = minimize.least_squares(
-            vector,
-            weighted_columns(self._residual, weight),
-            bounds=self._unknowns.bounds(),
-            eps=STEP,
-            max_iter=iterations,
-            xtol=XTOL,
-            verbose=minimize.Verbosity.SILENT,
-            x_scale="jac",
-        )
-        best: Array = found.ravel()
-        return best
-
-    def _jacobian(self, vector: Array) -> Array:
-        """By central differences where the bounds leave room, rad. Shape (m, 7, p)."""
-        low, high = self._unknowns.bounds()
-        step = np.diag(STEP * np.maximum(1.0, np.abs(vector)))
-        ahead = np.clip(vector[:, None] + step, low[:, None], high[:, None])
-        behind = np.clip(vector[:, None] - step, low[:, None], high[:, None])
-        width = np.diag(ahead) - np.diag(behind)
-        return (self._residual(ahead) - self._residual(behind)) / width
-
-    def _sigma(self, residual: Array) -> Array:
-        free = max(len(residual) - self._unknowns.size / 7.0, 1.0)
-        sigma: Array = np.maximum(np.sqrt((residual**2).sum(axis=0) / free), RESOLUTION)
-        return sigma
+            # What was the best is one of the rivals now.
+            vector, rivals = rivals[:, loss.argmin()], np.column_stack((rivals, best))
+        residual = self._fit.residual(vector[:, None])[..., 0]
+        covariance = self._fit.covariance(vector, residual)
+        rivals = rivals[:, outside(rivals, vector, covariance)]
+        return vector, residual, replace(covariance, rivals=rivals - vector[:, None])
 
 
 def position_rms(model: ServoModel, servo: DelayedServo, recording: ServoRecording) -> Array:
@@ -256,34 +161,13 @@ def identify_servos(
     return identifier.run(start)
 
 
-def weighted_columns(residual: Callable[[Array], Array], weight: Array) -> Callable[[Array], Array]:
-    """As the optimiser wants it: (p, k) -> (7 m, k)."""
-
-    def weighted(vectors: Array) -> Array:
-        found = residual(vectors) * weight[:, None]
-        return found.reshape(-1, found.shape[-1])
-
-    return weighted
-
-
-def first_seconds(recording: ServoRecording) -> ServoRecording:
-    """The part of a motion that a start is judged by."""
-    return recording.shortened(recording.motion_begins_s + LOOK_S)
-
-
-def joint_rms(residual: Array) -> Array:
-    """Root mean square over all samples. (m, 7) -> (7,)."""
-    rms: Array = np.sqrt((residual**2).mean(axis=0))
-    return rms
-
-
 def require_motion(recording: ServoRecording) -> None:
     """See that all joints move, long enough.
 
     Raises:
         ConfigurationError: They do not.
     """
-    still = np.flatnonzero(np.ptp(recording.commands.q, axis=0) < 1e-3)
+    still = np.flatnonzero(np.ptp(recording.commands.q, axis=0) < LEAST_MOTION)
     if still.size:
         raise ConfigurationError(
             f"joints {(still + 1).tolist()} of the chain do not move in a recording: nothing can "

@@ -28,13 +28,23 @@ UNTOLD = 1e12
 
 @dataclass(frozen=True, eq=False)
 class FitCovariance:
-    """Covariance of fitted parameters, twice. Each shape (p, p)."""
+    """Covariance of fitted parameters, twice, and other minima that are as good.
+
+    Attributes:
+        by_autocorrelation: Shape (p, p).
+        by_scores: Shape (p, p).
+        rivals: From the minimum to each other one that the data do not tell from it. Shape (p, k),
+            or None if there is none.
+    """
 
     by_autocorrelation: Array
     by_scores: Array
+    rivals: Array | None = None
 
     def deviations(self, outputs: Array) -> Array:
         """Standard deviations of linear functions of the parameters.
+
+        With rivals, they are such that a 95 % interval about the minimum holds those about them.
 
         Args:
             outputs: Derivative of each by each parameter. Shape (k, p).
@@ -47,6 +57,8 @@ class FitCovariance:
             for covariance in (self.by_autocorrelation, self.by_scores)
         ]
         deviations: Array = np.sqrt(np.maximum(*both).clip(min=0.0))
+        if self.rivals is not None:
+            deviations += np.abs(outputs @ self.rivals).max(axis=1, initial=0.0) / TWO_SIDED_95
         return deviations
 
 

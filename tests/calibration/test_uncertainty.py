@@ -5,7 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from skewmi.calibration.uncertainty import TWO_SIDED_95, autocorrelation_time, fit_covariance
+from skewmi.calibration.uncertainty import (
+    TWO_SIDED_95,
+    FitCovariance,
+    autocorrelation_time,
+    fit_covariance,
+)
 
 
 def correlated(rng: np.random.Generator, n: int, rho: float) -> np.ndarray:
@@ -44,6 +49,18 @@ def test_95_percent_intervals_hold_95_percent_of_the_truths(rho: float) -> None:
         deviations = covariance.deviations(np.eye(2))
         held.append(np.abs(error) < TWO_SIDED_95 * deviations)
     assert 0.90 <= np.mean(held) <= 0.995
+
+
+def test_an_interval_holds_those_of_minima_that_are_as_good() -> None:
+    one, two = np.diag([0.01, 0.04]), np.diag([0.02, 0.03])
+    alone = FitCovariance(one, two).deviations(np.eye(2))
+    np.testing.assert_allclose(alone, np.sqrt([0.02, 0.04]))
+    np.testing.assert_array_equal(
+        FitCovariance(one, two, np.zeros((2, 0))).deviations(np.eye(2)), alone
+    )
+    rivals = np.array([[3.0, -1.0], [0.0, 0.5]])
+    half = TWO_SIDED_95 * FitCovariance(one, two, rivals).deviations(np.eye(2))
+    np.testing.assert_allclose(half, TWO_SIDED_95 * alone + [3.0, 0.5])
 
 
 def test_what_the_motion_does_not_tell_has_a_hopeless_interval() -> None:
