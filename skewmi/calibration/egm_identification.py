@@ -14,8 +14,6 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from mujoco import minimize
-from numpy.typing import NDArray
 
 from skewmi.calibration.egm_estimates import egm_estimates
 from skewmi.calibration.egm_law import EgmLaw, desired_motions
@@ -25,11 +23,11 @@ from skewmi.calibration.servo_estimates import Estimate
 from skewmi.calibration.servo_fit import (
     HANG_TOGETHER_S,
     RESOLUTION,
-    SETTLE_S,
     STEP,
-    XTOL,
     joint_rms,
-    weighted_columns,
+    joint_sigma,
+    minimised,
+    settled,
 )
 from skewmi.calibration.servo_identification import require_motion
 from skewmi.calibration.servo_model import DelayedServo, ServoModel
@@ -140,8 +138,8 @@ class EgmIdentifier:
         size = (self._residual(np.array(found).T, short) ** 2).mean(axis=0)
         best = int(np.argmin((size / size.min(axis=1, keepdims=True)).sum(axis=0)))
         vector = self._minimised(found[best], weight, self._recordings, ITERATIONS)
-        sigma = self._sigma(self._residual(vector[:, None], self._recordings)[..., 0])
-        weight = 1.0 / sigma
+        residual = self._residual(vector[:, None], self._recordings)[..., 0]
+        weight = 1.0 / joint_sigma(residual, self._unknowns.size)
         vector = self._minimised(vector, weight, self._recordings, ITERATIONS_AGAIN)
         residual = self._residual(vector[:, None], self._recordings)[..., 0]
         seconds = sum(float(np.ptp(r.times_s)) for r in self._recordings)
@@ -149,7 +147,7 @@ class EgmIdentifier:
             residual,
             self._jacobian(vector),
             weight,
-            self._sigma(residual),
+            joint_sigma(residual, self._unknowns.size),
             round(HANG_TOGETHER_S * len(residual) / seconds),
         )
         far = unknowns.vector(EgmArm(unknowns.announced, DelayedServo(unknowns.nominal, 0.0)))
@@ -210,22 +208,10 @@ class EgmIdentifier:
         def residual(vectors: Array) -> Array:
             return self._residual(vectors, recordings)
 
-        def jacobian(at: Array, _: Array) -> Array:
-            rows = self._quick_jacobian(at.ravel(), recordings) * weight[:, None]
-            return rows.reshape(-1, rows.shape[-1])
+        def jacobian(at: Array) -> Array:
+            return self._quick_jacobian(at, recordings)
 
-        found, _ = minimize.least_squares(
-            vector,
-            weighted_columns(residual, weight),
-            bounds=self._unknowns.bounds(),
-            jacobian=jacobian,
-            max_iter=iterations,
-            xtol=XTOL,
-            verbose=minimize.Verbosity.SILENT,
-            x_scale="jac",
-        )
-        best: Array = found.ravel()
-        return best
+        return minimised(residual, vector, weight, self._unknowns.bounds(), iterations, jacobian)
 
     def _quick_jacobian(self, vector: Array, recordings: Sequence[ServoRecording]) -> Array:
         """For the way to the minimum: as if no joint moved another, rad. Shape (m, 7, p).
@@ -261,11 +247,6 @@ class EgmIdentifier:
         positions = self._residual(moved, self._recordings)
         return (positions[..., 1:] - positions[..., :1]) / step
 
-    def _sigma(self, residual: Array) -> Array:
-        free = max(len(residual) - self._unknowns.size / 7.0, 1.0)
-        sigma: Array = np.maximum(np.sqrt((residual**2).sum(axis=0) / free), RESOLUTION)
-        return sigma
-
 
 def egm_position_rms(servos: ServoModel, arm: EgmArm, recording: EgmRecording) -> Array:
     """RMS of an arm's simulated less measured positions, rad. Shape (7,).
@@ -279,9 +260,3 @@ def egm_position_rms(servos: ServoModel, arm: EgmArm, recording: EgmRecording) -
     model = EgmModel(servos, recording.speed_share)
     error = model.positions([arm.slower(1.0 / recording.stretch)], motion)[0] - motion.positions
     return joint_rms(error[settled(motion)])
-
-
-def settled(recording: ServoRecording) -> NDArray[np.bool_]:
-    """Which samples count: not those in which friction still hides where a joint is. Shape (m,)."""
-    rows: NDArray[np.bool_] = recording.times_s >= recording.motion_begins_s + SETTLE_S
-    return rows

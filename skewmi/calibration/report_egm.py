@@ -8,7 +8,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from skewmi.calibration.calibration_file import EgmCalibration
-from skewmi.calibration.egm_identification import settled
 from skewmi.calibration.egm_law import EgmLaw
 from skewmi.calibration.egm_model import EgmArm, EgmModel
 from skewmi.calibration.egm_section import egm_arm
@@ -20,6 +19,7 @@ from skewmi.calibration.report_parts import (
     picture,
     table,
 )
+from skewmi.calibration.servo_fit import settled
 from skewmi.calibration.servo_model import DelayedServo, ServoModel
 from skewmi.robot_models import yumi
 from skewmi.robot_models.servo import ServoParameters

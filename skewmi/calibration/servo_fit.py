@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from mujoco import minimize
+from numpy.typing import NDArray
 
 from skewmi.calibration.servo_model import ServoModel
 from skewmi.calibration.servo_parameters import ServoUnknowns
@@ -51,7 +52,7 @@ class ServoFit:
     ) -> None:
         self.unknowns = unknowns
         self._model, self._recordings = model, tuple(recordings)
-        self._rows = [r.times_s >= r.motion_begins_s + SETTLE_S for r in recordings]
+        self._rows = [settled(recording) for recording in recordings]
 
     def residual(self, vectors: Array) -> Array:
         """Simulated less measured positions, rad. (p, k) -> (m, 7, k)."""
@@ -70,9 +71,7 @@ class ServoFit:
 
     def sigma(self, residual: Array) -> Array:
         """Standard deviation of each joint's residual, rad. (m, 7) -> (7,)."""
-        free = max(len(residual) - self.unknowns.size / 7.0, 1.0)
-        sigma: Array = np.maximum(np.sqrt((residual**2).sum(axis=0) / free), RESOLUTION)
-        return sigma
+        return joint_sigma(residual, self.unknowns.size)
 
     def weight(self, residual: Array) -> Array:
         """Weight of each joint: by its residual's size and how many samples tell as much as one.
@@ -90,18 +89,7 @@ class ServoFit:
 
     def minimised(self, vector: Array, weight: Array, iterations: int) -> Array:
         """The minimum of the weighted squares next to a vector. Shape (p,)."""
-        found, _ = minimize.least_squares(
-            vector,
-            weighted_columns(self.residual, weight),
-            bounds=self.unknowns.bounds(),
-            eps=STEP,
-            max_iter=iterations,
-            xtol=XTOL,
-            verbose=minimize.Verbosity.SILENT,
-            x_scale="jac",
-        )
-        best: Array = found.ravel()
-        return best
+        return minimised(self.residual, vector, weight, self.unknowns.bounds(), iterations)
 
     def jacobian(self, vector: Array) -> Array:
         """By central differences where the bounds leave room, rad. Shape (m, 7, p)."""
@@ -213,14 +201,63 @@ def autocorrelation_times(residual: Array) -> Array:
     return np.array([autocorrelation_time(column) for column in residual.T])
 
 
-def weighted_columns(residual: Callable[[Array], Array], weight: Array) -> Callable[[Array], Array]:
-    """As the optimiser wants it: (p, k) -> (7 m, k)."""
+def minimised(
+    residual: Callable[[Array], Array],
+    vector: Array,
+    weight: Array,
+    bounds: tuple[Array, Array],
+    iterations: int,
+    jacobian: Callable[[Array], Array] | None = None,
+) -> Array:
+    """The minimum of weighted squares next to a vector. Shape (p,).
+
+    Args:
+        residual: Of each column, rad. (p, k) -> (m, 7, k).
+        vector: Where to begin. Shape (p,).
+        weight: Of each joint, 1/rad. Shape (7,).
+        bounds: Of the vector, two of shape (p,).
+        iterations: At most.
+        jacobian: Of a vector's residual, rad, (p,) -> (m, 7, p); by differences without it.
+    """
 
     def weighted(vectors: Array) -> Array:
         found = residual(vectors) * weight[:, None]
         return found.reshape(-1, found.shape[-1])
 
-    return weighted
+    def slopes(at: Array, _: Array) -> Array:
+        assert jacobian is not None
+        rows = jacobian(at.ravel()) * weight[:, None]
+        return rows.reshape(-1, rows.shape[-1])
+
+    found, _ = minimize.least_squares(
+        vector,
+        weighted,
+        bounds=bounds,
+        jacobian=None if jacobian is None else slopes,
+        eps=STEP,
+        max_iter=iterations,
+        xtol=XTOL,
+        verbose=minimize.Verbosity.SILENT,
+        x_scale="jac",
+    )
+    best: Array = found.ravel()
+    return best
+
+
+def settled(recording: ServoRecording) -> NDArray[np.bool_]:
+    """Which samples count: not those in which friction still hides where a joint is. Shape (m,)."""
+    rows: NDArray[np.bool_] = recording.times_s >= recording.motion_begins_s + SETTLE_S
+    return rows
+
+
+def joint_sigma(residual: Array, unknowns: int) -> Array:
+    """Standard deviation of each joint's residual after a fit of so many unknowns, rad.
+
+    (m, 7) -> (7,).
+    """
+    free = max(len(residual) - unknowns / 7.0, 1.0)
+    sigma: Array = np.maximum(np.sqrt((residual**2).sum(axis=0) / free), RESOLUTION)
+    return sigma
 
 
 def joint_rms(residual: Array) -> Array:

@@ -15,7 +15,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skewmi.calibration.servo_estimates import Estimate, estimates
-from skewmi.calibration.servo_fit import SETTLE_S, ServoFit, autocorrelation_times, joint_rms
+from skewmi.calibration.servo_fit import (
+    SETTLE_S,
+    ServoFit,
+    autocorrelation_times,
+    joint_rms,
+    settled,
+)
 from skewmi.calibration.servo_model import DelayedServo, ServoModel
 from skewmi.calibration.servo_parameters import ServoUnknowns
 from skewmi.calibration.servo_recording import ServoRecording
@@ -137,8 +143,8 @@ class ServoIdentifier:
 
 def position_rms(model: ServoModel, servo: DelayedServo, recording: ServoRecording) -> Array:
     """RMS of simulated less measured positions of a recording, rad. Shape (7,)."""
-    rows = recording.times_s >= recording.motion_begins_s + SETTLE_S
-    return joint_rms((model.positions([servo], recording)[0] - recording.positions)[rows])
+    error = model.positions([servo], recording)[0] - recording.positions
+    return joint_rms(error[settled(recording)])
 
 
 def identify_servos(

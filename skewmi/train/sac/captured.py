@@ -32,6 +32,8 @@ class CapturedUpdate:
     Args:
         sac: Whose networks, moments and temperature are updated in place. Its optimizers must have
             made a step, so that their moments exist.
+        backend: Of `torch.compile`, which then fuses kernels before the capture; None: as they
+            are, what training takes.
     """
 
     def __init__(self, sac: Sac, backend: str | None = None) -> None:
