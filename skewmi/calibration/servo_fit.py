@@ -31,6 +31,8 @@ XTOL = 1e-4
 """Of the parameters, relative: a tenth of what the best recordings tell."""
 HANG_TOGETHER_S = 1.0
 """Over which residuals may hang together, s."""
+LONG_MEMORY = 1.5
+"""Autocorrelation time, in samples, that residuals of the right model do not have."""
 DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-6, 1e6
 DAMPINGS_TRIED = (0.1, 10.0)
 """Factors on a joint's damping that are tried at once."""
@@ -199,6 +201,11 @@ def joint_steps(
 def autocorrelation_times(residual: Array) -> Array:
     """Of each joint's residual, in samples. (m, 7) -> (7,)."""
     return np.array([autocorrelation_time(column) for column in residual.T])
+
+
+def hangs_together(residual: Array) -> bool:
+    """Whether a residual, shape (m, 7), is more than noise: the model lacks something."""
+    return bool(autocorrelation_times(residual).max() > LONG_MEMORY)
 
 
 def minimised(

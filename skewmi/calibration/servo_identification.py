@@ -19,6 +19,7 @@ from skewmi.calibration.servo_fit import (
     SETTLE_S,
     ServoFit,
     autocorrelation_times,
+    hangs_together,
     joint_rms,
     settled,
 )
@@ -125,10 +126,10 @@ class ServoIdentifier:
     def _fitted(self, searched: SearchedServos) -> tuple[Array, Array, FitCovariance]:
         """What was searched, fitted to all of the motion: vector, residual, and how far it may be
         off, which is as far as any rival that the data do not tell from it."""
-        vector, rivals = searched.vector, searched.rivals
+        vector = self._fit.descended(searched.vector, ITERATIONS)
+        rivals = with_its_delay(searched.rivals, searched.vector, vector)
         for _ in range(ROUNDS):
-            best = self._fit.descended(vector, ITERATIONS)
-            best = self._fit.descended(best, ITERATIONS_AGAIN)
+            best = self._fit.descended(vector, ITERATIONS_AGAIN)
             rivals = with_its_delay(rivals, vector, best)
             vector, rivals, loss = best, *remaining_rivals(self._fit, best, rivals)
             if loss.min(initial=0.0) > -BETTER:
@@ -137,8 +138,21 @@ class ServoIdentifier:
             vector, rivals = rivals[:, loss.argmin()], np.column_stack((rivals, best))
         residual = self._fit.residual(vector[:, None])[..., 0]
         covariance = self._fit.covariance(vector, residual)
-        rivals = rivals[:, outside(rivals, vector, covariance)]
+        rivals = np.column_stack(
+            (rivals[:, outside(rivals, vector, covariance)], self._otherwise(vector, residual))
+        )
         return vector, residual, replace(covariance, rivals=rivals - vector[:, None])
+
+    def _otherwise(self, vector: Array, residual: Array) -> Array:
+        """The minimum with joints weighted by the size of their residuals alone. Shape (p, 0 or 1).
+
+        If the model is right any weights find the same. How far apart two of them are is what it
+        lacks, of which no residual tells: a wrong mass drags the delay of all joints along.
+        """
+        if not hangs_together(residual):
+            return np.empty((len(vector), 0))
+        weight = 1.0 / self._fit.sigma(residual)
+        return self._fit.minimised(vector, weight, ITERATIONS_AGAIN)[:, None]
 
 
 def position_rms(model: ServoModel, servo: DelayedServo, recording: ServoRecording) -> Array:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skewmi.calibration.servo_fit import ServoFit
+from skewmi.calibration.servo_fit import ServoFit, hangs_together
 from skewmi.calibration.servo_model import ServoModel
 from skewmi.calibration.servo_parameters import ServoUnknowns
 from skewmi.calibration.servo_recording import ServoRecording
@@ -54,7 +54,8 @@ class SearchedServos:
 
     Attributes:
         vector: The best. Shape (p,).
-        rivals: Others far from it that suit what was looked at hardly less. Shape (p, k).
+        rivals: Others that suit what was looked at hardly less: those far from it, and all if the
+            model lacks something. Shape (p, k).
     """
 
     vector: Array
@@ -98,7 +99,9 @@ class ServoSearch:
                 break
             vector = fit.descended(vectors[:, best], ITERATIONS)
         rivals = likely(looked, vectors, loss)
-        rivals = rivals[:, outside(rivals, looked, fit.covariance(looked, residual))]
+        # Of a model that lacks something minima are many, and next to one another.
+        if not hangs_together(residual):
+            rivals = rivals[:, outside(rivals, looked, fit.covariance(looked, residual))]
         return SearchedServos(vector, with_its_delay(rivals, looked, vector))
 
     def _start(self) -> Array:

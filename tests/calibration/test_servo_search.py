@@ -13,11 +13,12 @@ from skewmi.calibration.excitation_choice import excitation_centre
 from skewmi.calibration.servo_fit import ServoFit
 from skewmi.calibration.servo_identification import identify_servos
 from skewmi.calibration.servo_model import DelayedServo, ServoModel
-from skewmi.calibration.servo_parameters import ServoUnknowns
+from skewmi.calibration.servo_parameters import DELAY_UNIT_S, ServoUnknowns
 from skewmi.calibration.servo_recording import ServoRecording
 from skewmi.calibration.servo_rivals import TOLD_APART, likely, losses
 from skewmi.calibration.servo_search import beginning
 from skewmi.calibration.servo_starts import best_joints, later
+from skewmi.calibration.uncertainty import TWO_SIDED_95
 from skewmi.robot_models import limits
 from skewmi.robot_models.servo import CONTACT_SERVO
 from skewmi.robot_models.yumi import Array
@@ -99,6 +100,34 @@ def test_an_interval_holds_both_minima_that_the_data_do_not_tell_apart(
         np.testing.assert_allclose(kp.value, 2.0 * CONTACT_SERVO.kp, rtol=0.02)
     else:
         assert holds[1].all()
+
+
+def test_an_interval_holds_what_other_weights_of_a_wrong_model_find(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rng = np.random.default_rng(4)
+    residuals = 1e-4 * rng.standard_normal((600, 7, 1))
+    # Joints that carry a wrong mass: of another size, and over many samples.
+    slow = rng.standard_normal((619, 4))
+    residuals[:, :4, 0] += 3e-4 * np.array([np.convolve(c, np.ones(20), "valid") for c in slow.T]).T
+    shapes = rng.standard_normal((4, 600, 7, 1)).cumsum(axis=1) / 20.0
+
+    def residual(_: ServoFit, vectors: Array) -> Array:
+        parts = np.concatenate((vectors[:-1].reshape(3, 7, -1), np.tile(vectors[-1], (1, 7, 1))))
+        simulated: Array = residuals + 1e-3 * ((parts - 1.0)[:, None] * shapes).sum(axis=0)
+        return simulated
+
+    monkeypatch.setattr(ServoFit, "residual", residual)
+    model, recordings = ServoModel(LEAD), [light_robot()[1]]
+    found = identify_servos(model, recordings, CONTACT_SERVO)
+    fit, vector = ServoFit(model, recordings, UNKNOWNS), UNKNOWNS.vector(found.servo)
+    at_best = fit.residual(vector[:, None])[..., 0]
+    other = fit.minimised(vector, 1.0 / fit.sigma(at_best), 20)
+    apart = abs(UNKNOWNS.servo(other).delay_s - found.servo.delay_s)
+    alone = fit.covariance(vector, at_best).deviations(np.eye(UNKNOWNS.size))[-1] * DELAY_UNIT_S
+    delay = found.estimates["delay"]
+    assert apart > 1e-6
+    assert delay.high[0] - delay.value[0] >= 0.99 * (apart + TWO_SIDED_95 * alone)
 
 
 def test_more_delay_takes_its_lag_from_the_damping() -> None:
