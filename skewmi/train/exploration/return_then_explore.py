@@ -17,7 +17,10 @@ from numpy.typing import NDArray
 
 from skewmi.policy_io import Array, PolicyLayout
 from skewmi.train.checks import require
+from skewmi.train.exploration.scale import field_columns
 from skewmi.train.exploration.skew_explore import SkewExplore, SkewExploreConfig
+from skewmi.train.replay import Index, Replay
+from skewmi.train.state import State, as_array
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,13 @@ class ReturnThenExploreConfig(SkewExploreConfig):
     """Steps of random motion once a goal is reached or given up; 0: none."""
     nearest_of: int = 5
     """The next goal is the nearest of so many proposals; 1: any."""
+    revisit_probability: float = 0.0
+    """Probability that the next goal is any visited state instead, however common: proposals are
+    rare states, and never ask for the way back to where an episode begins."""
+    keep_fields: tuple[str, ...] = ()
+    """Fields that a next goal may keep as they are: what has been done to objects stays done."""
+    keep_probability: float = 0.5
+    """Probability with which it keeps each of them; 0: goals are proposals as they are."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -52,6 +62,9 @@ class ReturnThenExploreConfig(SkewExploreConfig):
             require(value >= least, f"{name} is {value}, needs at least {least}")
         for name in ("arrival_radius", "stall_distance"):
             require(getattr(self, name) > 0.0, f"{name} is {getattr(self, name)}, needs > 0")
+        for name in ("revisit_probability", "keep_probability"):
+            value = getattr(self, name)
+            require(0.0 <= value <= 1.0, f"{name} is {value}, needs 0 to 1")
 
 
 class Excursions:
@@ -61,6 +74,7 @@ class Excursions:
         config: See `ReturnThenExploreConfig`.
         goals: First ones, density units. Shape (episodes, d).
         kept: Episodes that keep their first goal and never explore. Shape (episodes,).
+        keep: Columns that a next goal may keep as they are. Shape (k,).
 
     Attributes:
         goals: Present ones. Shape (episodes, d).
@@ -68,21 +82,33 @@ class Excursions:
     """
 
     def __init__(
-        self, config: ReturnThenExploreConfig, goals: Array, kept: NDArray[np.bool_]
+        self,
+        config: ReturnThenExploreConfig,
+        goals: Array,
+        kept: NDArray[np.bool_],
+        keep: Index | None = None,
     ) -> None:
         self._config, self._kept = config, kept
+        self._keep: Index = np.zeros(0, dtype=np.int64) if keep is None else keep
         self.goals: Array = goals.copy()
         self.exploring: NDArray[np.bool_] = np.zeros(len(goals), dtype=np.bool_)
         self._since = np.zeros(len(goals), dtype=np.int64)
         self._path: list[Array] = []
 
-    def step(self, states: Array, proposals: Array, generator: np.random.Generator) -> None:
+    def step(
+        self,
+        states: Array,
+        proposals: Array,
+        generator: np.random.Generator,
+        visited: Array | None = None,
+    ) -> None:
         """Look at where the episodes are, and decide what they do next.
 
         Args:
             states: Density units. Shape (episodes, d).
             proposals: Present ones, density units. Shape (k, d).
             generator: Of the choice of next goals.
+            visited: Any visited states, density units; none: goals are proposals. Shape (n, d).
         """
         c, now = self._config, len(self._path)
         self._path.append(states)
@@ -98,11 +124,30 @@ class Excursions:
         self._since[begun] = now
         done = np.flatnonzero(self.exploring & (now - self._since >= c.explore_steps))
         if done.size:
-            drawn = proposals[generator.integers(len(proposals), size=(done.size, c.nearest_of))]
-            nearest = np.linalg.norm(drawn - states[done, None], axis=-1).argmin(1)
-            self.goals[done] = drawn[np.arange(done.size), nearest]
+            self.goals[done] = self._next_goals(states[done], proposals, generator, visited)
             self.exploring[done] = False
             self._since[done] = now
+
+    def _next_goals(
+        self,
+        states: Array,
+        proposals: Array,
+        generator: np.random.Generator,
+        visited: Array | None,
+    ) -> Array:
+        """For episodes in these states. Shape (n, d)."""
+        c, n = self._config, len(states)
+        drawn: Array = proposals[generator.integers(len(proposals), size=(n, c.nearest_of))]
+        if c.revisit_probability > 0.0 and visited is not None and len(visited):
+            back = generator.random(n) < c.revisit_probability
+            drawn[back] = visited[generator.integers(len(visited), size=n)][back, None]
+        if self._keep.size:
+            stays = generator.random((n, 1, self._keep.size)) < c.keep_probability
+            here = states[:, None, self._keep]
+            drawn[..., self._keep] = np.where(stays, here, drawn[..., self._keep])
+        nearest = np.linalg.norm(drawn - states[:, None], axis=-1).argmin(1)
+        goals: Array = drawn[np.arange(n), nearest]
+        return goals
 
 
 class ReturnThenExplore(SkewExplore):
@@ -116,6 +161,8 @@ class ReturnThenExplore(SkewExplore):
     ) -> None:
         super().__init__(config, layout, generator)
         self._excursion_config = config
+        self._keep = field_columns(layout, config.keep_fields)
+        self._visited: Array = np.zeros((0, layout.state_dim))
         self.moves_at_random = config.explore_steps > 0
 
     def begin(self, episodes: int, evaluation: int, generator: np.random.Generator) -> None:
@@ -125,8 +172,11 @@ class ReturnThenExplore(SkewExplore):
         goals[:evaluation] = source.evaluation_goals(evaluation, generator)
         kept[:evaluation] = True
         scale = self.skewed.scale
-        self._excursions = Excursions(self._excursion_config, scale(goals, weighted=True), kept)
+        self._excursions = Excursions(
+            self._excursion_config, scale(goals, weighted=True), kept, self._keep
+        )
         self._proposals: Array = scale(self.skewed.proposals, weighted=True)
+        self._scaled_visited: Array = scale(self._visited, weighted=True)
         self._first, self._kept = goals, kept
         self._generator = generator
 
@@ -134,7 +184,7 @@ class ReturnThenExplore(SkewExplore):
         """Where the episodes go, or went before they began to explore. Shape (episodes, d)."""
         scale = self.skewed.scale
         states = scale(observations[:, : self.goal_dim], weighted=True)
-        self._excursions.step(states, self._proposals, self._generator)
+        self._excursions.step(states, self._proposals, self._generator, self._scaled_visited)
         goals = scale.inverse(self._excursions.goals, weighted=True)
         # To the bit what they were: evaluation goals are compared.
         goals[self._kept] = self._first[self._kept]
@@ -143,3 +193,23 @@ class ReturnThenExplore(SkewExplore):
     def wandering(self) -> NDArray[np.bool_] | None:
         """Who explores. Shape (episodes,)."""
         return self._excursions.exploring
+
+    def refresh(
+        self, history: Replay, steps: int, generator: np.random.Generator
+    ) -> dict[str, float]:
+        """As Skew-Explore, and draws visited states that may be next goals."""
+        measured = super().refresh(history, steps, generator)
+        c = self._excursion_config
+        if c.revisit_probability > 0.0:
+            self._visited, _ = history.random_states(c.proposals, generator)
+        return measured
+
+    def state_dict(self) -> State:
+        """All that a continuation needs, between two batches of episodes."""
+        return super().state_dict() | {"visited": self._visited}
+
+    def load_state_dict(self, state: State) -> None:
+        """Inverse of `state_dict`."""
+        super().load_state_dict(state)
+        # Checkpoints of earlier versions had none.
+        self._visited = as_array(state.get("visited", self._visited))

@@ -8,6 +8,7 @@ import numpy as np
 
 from skewmi.errors import ConfigurationError
 from skewmi.policy_io import Array, PolicyLayout
+from skewmi.train.replay import Index
 from skewmi.train.running_mean_std import RunningMeanStd
 from skewmi.train.state import State, as_array
 
@@ -68,8 +69,19 @@ def field_weights(layout: PolicyLayout, weights: tuple[tuple[str, float], ...]) 
     Raises:
         ConfigurationError: A field does not exist.
     """
-    given, names = dict(weights), [field.name for field in layout.state_fields]
-    unknown = [name for name in given if name not in names]
+    given = dict(weights)
+    field_columns(layout, tuple(given))
+    return np.array([given.get(field.name, 1.0) for field in layout.state_fields])
+
+
+def field_columns(layout: PolicyLayout, fields: tuple[str, ...]) -> Index:
+    """Columns of a state that fields are in. Shape (k,).
+
+    Raises:
+        ConfigurationError: A field does not exist.
+    """
+    names = [field.name for field in layout.state_fields]
+    unknown = [name for name in fields if name not in names]
     if unknown:
-        raise ConfigurationError(f"field weights for unknown fields {unknown}; fields are {names}")
-    return np.array([given.get(name, 1.0) for name in names])
+        raise ConfigurationError(f"unknown fields {unknown}; fields are {names}")
+    return np.array([names.index(name) for name in fields], dtype=np.int64)

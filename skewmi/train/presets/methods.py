@@ -62,7 +62,13 @@ class Methods:
 
 
 def return_then_explore(
-    base: TrainConfig, *, updates_per_step: float, arrival_radius: float, stall_distance: float
+    base: TrainConfig,
+    *,
+    updates_per_step: float,
+    arrival_radius: float,
+    stall_distance: float,
+    revisit_probability: float = 0.0,
+    keep_fields: tuple[str, ...] = (),
 ) -> TrainConfig:
     """Skew-Explore's goals in excursions, from a preset of Skew-Explore on SAC.
 
@@ -72,6 +78,7 @@ def return_then_explore(
         base: Gives all other numbers.
         updates_per_step: Gradient updates per environment step.
         arrival_radius, stall_distance: See `ReturnThenExploreConfig`, density units.
+        revisit_probability, keep_fields: See `ReturnThenExploreConfig`.
     """
     explore, learner = base.exploration, base.learner
     assert isinstance(explore, SkewExploreConfig)
@@ -88,7 +95,11 @@ def return_then_explore(
             burst_rewarded_fraction=0.5,
         ),
         exploration=ReturnThenExploreConfig(
-            **same, arrival_radius=arrival_radius, stall_distance=stall_distance
+            **same,
+            arrival_radius=arrival_radius,
+            stall_distance=stall_distance,
+            revisit_probability=revisit_probability,
+            keep_fields=keep_fields,
         ),
         rollout=replace(base.rollout, noise_probability=0.0),
     )

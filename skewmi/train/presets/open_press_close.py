@@ -22,12 +22,13 @@ _PAPER = TrainConfig(
     rollout=replace(PAPER_ROLLOUT, history_steps=5_000_000),
     metrics=MetricsConfig(every_steps=25_000),
 )
+_SAC = SacConfig(target_entropy=-1.5)
 _IMPROVED = TrainConfig(
     task=_TASK,
     preset="improved",
     task_options=(("time_input", True),),
     total_steps=2_000_000,
-    learner=SacConfig(target_entropy=-1.5),
+    learner=_SAC,
     # What goals should differ in is the lid; x spans 20 mm of the hand's box, and the fingers
     # are not commanded: where contact bends them is not worth a goal.
     exploration=SkewExploreConfig(
@@ -41,8 +42,16 @@ PRESETS = (
     _IMPROVED,
     *methods.PAPER.presets(_PAPER),
     *methods.IMPROVED.presets(_IMPROVED),
+    # Rare states never ask for a shut lid, so nobody learned to shut one: of 150 trajectories 1 to
+    # 10 did, for more than a thousand, until the first reward. Half of the next goals are any
+    # visited states, thus mostly a shut lid, and half of those with the button as it is by then.
     methods.return_then_explore(
-        _IMPROVED, updates_per_step=0.14, arrival_radius=0.5, stall_distance=0.2
+        replace(_IMPROVED, learner=replace(_SAC, learning_rate=1e-3)),
+        updates_per_step=0.4,
+        arrival_radius=0.5,
+        stall_distance=0.2,
+        revisit_probability=0.5,
+        keep_fields=(_BUTTON,),
     ),
     _REDUCED,
     *methods.PAPER.presets(_REDUCED),

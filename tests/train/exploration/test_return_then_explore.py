@@ -94,6 +94,62 @@ def test_next_goal_is_the_nearest_of_those_drawn() -> None:
     np.testing.assert_array_equal(excursions.goals, proposals[distance.argmin(1)])
 
 
+def test_next_goal_may_keep_fields_as_they_are() -> None:
+    rng = np.random.default_rng(2)
+    keep = np.array([0, 2])
+    proposals = rng.normal(size=(50, 3))
+    for probability in (0.0, 0.3, 1.0):
+        c = config(
+            explore_steps=0, go_steps=1, keep_fields=("a", "c"), keep_probability=probability
+        )
+        excursions = Excursions(c, np.full((400, 3), 9.0), np.zeros(400, dtype=bool), keep)
+        excursions.step(rng.normal(size=(400, 3)), proposals, rng)
+        states = rng.normal(size=(400, 3))
+        excursions.step(states, proposals, rng)
+        goals = excursions.goals
+        stays = goals[:, keep] == states[:, keep]
+        # What is not kept is that of one proposal, and what never is kept says which.
+        which = (goals[:, None, 1] == proposals[None, :, 1]).argmax(1)
+        expected = proposals[which]
+        expected[:, keep] = np.where(stays, states[:, keep], expected[:, keep])
+        np.testing.assert_array_equal(goals, expected)
+        # Four deviations of 400 draws; one does not hang on the other.
+        np.testing.assert_allclose(stays.mean(0), probability, atol=0.092)
+        np.testing.assert_allclose(stays.all(1).mean(), probability**2, atol=0.092)
+
+
+def test_next_goal_is_any_visited_state_now_and_then() -> None:
+    rng = np.random.default_rng(4)
+    n = 2000
+    proposals, visited = rng.normal(size=(20, 2)), 7.0 + rng.normal(size=(30, 2))
+    for probability in (0.0, 0.4, 1.0):
+        c = config(explore_steps=0, go_steps=1, nearest_of=5, revisit_probability=probability)
+        excursions = Excursions(c, np.full((n, 2), 90.0), np.zeros(n, dtype=bool))
+        excursions.step(rng.normal(size=(n, 2)), proposals, rng, visited)
+        excursions.step(rng.normal(size=(n, 2)), proposals, rng, visited)
+        is_visited = (excursions.goals[:, None] == visited).all(-1).any(1)
+        is_proposal = (excursions.goals[:, None] == proposals).all(-1).any(1)
+        assert (is_visited ^ is_proposal).all()
+        # Four deviations. However far they are: each as often as any other.
+        np.testing.assert_allclose(is_visited.mean(), probability, atol=0.045)
+        counts = (excursions.goals[:, None] == visited).all(-1).sum(0)
+        assert counts.max(initial=0) <= 3.0 * max(counts.mean(), 1.0)
+
+
+def test_nearest_is_looked_for_once_fields_are_kept() -> None:
+    rng = np.random.default_rng(3)
+    c = config(
+        explore_steps=0, go_steps=1, nearest_of=400, keep_fields=("b",), keep_probability=1.0
+    )
+    excursions = Excursions(c, np.full((8, 2), 9.0), np.zeros(8, dtype=bool), np.array([1]))
+    # Far in what is kept, near in the rest.
+    proposals = np.array([[0.0, 50.0], [3.0, 0.0], [-3.0, 0.0]])
+    states = 0.1 * rng.normal(size=(8, 2))
+    excursions.step(states, proposals, rng)
+    excursions.step(states, proposals, rng)
+    np.testing.assert_array_equal(excursions.goals, np.column_stack((np.zeros(8), states[:, 1])))
+
+
 def in_excursions(base: SkewExploreConfig, **numbers) -> ReturnThenExploreConfig:
     same = {f.name: getattr(base, f.name) for f in fields(SkewExploreConfig)}
     return ReturnThenExploreConfig(**same, **(SMALL | {"explore_steps": 6} | numbers))
@@ -144,6 +200,19 @@ def test_trains_and_resumes(tmp_path, make_corridor, corridor_config) -> None:
     resumes_alike(changed, make_corridor, tmp_path, 400)
 
 
+def test_trains_with_kept_fields_and_refuses_unknown_ones(
+    tmp_path, make_corridor, corridor_config
+) -> None:
+    name = make_corridor().layout.state_fields[0].name
+    rollout = replace(corridor_config.rollout, noise_probability=0.0)
+    changed = replace(corridor_config, rollout=rollout, total_steps=800)
+    kept = in_excursions(corridor_config.exploration, keep_fields=(name,), revisit_probability=0.5)
+    resumes_alike(replace(changed, exploration=kept), make_corridor, tmp_path, 400)
+    unknown = in_excursions(corridor_config.exploration, keep_fields=("handle",))
+    with pytest.raises(ConfigurationError, match="handle"):
+        Runner(replace(changed, exploration=unknown), make_corridor())
+
+
 def test_on_policy_learner_refuses_random_motion(make_corridor, corridor_config) -> None:
     rollout = replace(corridor_config.rollout, random_steps=0, noise_probability=0.0)
     on_policy = replace(corridor_config, rollout=rollout, learner=PpoConfig())
@@ -157,7 +226,15 @@ def test_on_policy_learner_refuses_random_motion(make_corridor, corridor_config)
 
 
 @pytest.mark.parametrize(
-    "numbers", [{"go_steps": 0}, {"arrival_radius": 0.0}, {"explore_steps": -1}, {"nearest_of": 0}]
+    "numbers",
+    [
+        {"go_steps": 0},
+        {"arrival_radius": 0.0},
+        {"explore_steps": -1},
+        {"nearest_of": 0},
+        {"keep_probability": 1.1},
+        {"revisit_probability": -0.1},
+    ],
 )
 def test_numbers_that_make_no_sense_are_refused(numbers: dict) -> None:
     with pytest.raises(ConfigurationError, match=next(iter(numbers))):
