@@ -57,7 +57,8 @@ class SkewedGoalsConfig(ExplorationConfig):
     switch_probability: float = 0.015
     """Probability per step that the goal changes within an episode."""
     rewarded_goal_max: float = 0.7
-    """Highest probability that an episode gets a rewarded state as its goal."""
+    """Highest probability that an episode gets a rewarded state as its goal, evaluated ones
+    included: the others explore."""
     rewarded_goal_per_success: float = 0.01
     """Growth of that probability per rewarded episode."""
 
@@ -129,6 +130,16 @@ def propose(
     return scale.inverse(chosen, weighted=True), slots[index]
 
 
+def left_to_reward(most: float, evaluated: float) -> float:
+    """Highest probability of a rewarded goal for episodes that are not evaluated.
+
+    Args:
+        most: Of all episodes.
+        evaluated: Share of episodes that are, below 1.
+    """
+    return max(0.0, most - evaluated) / (1.0 - evaluated)
+
+
 class SkewedGoals:
     """Density units, proposals and evaluation goal of a run, as they change.
 
@@ -162,13 +173,15 @@ class SkewedGoals:
     def begin(self, episodes: int, evaluation: int, generator: np.random.Generator) -> None:
         """Choose the goals of the next episodes, see `plan_goals`."""
         steps, switch = self.layout.episode_steps, self.config.switch_probability
-        self._planned = plan_goals(self.source(), episodes, steps, evaluation, switch, generator)
+        source = self.source(evaluation / episodes)
+        self._planned = plan_goals(source, episodes, steps, evaluation, switch, generator)
 
-    def source(self) -> GoalSource:
-        """Where the goals of the next episodes come from."""
+    def source(self, evaluated: float) -> GoalSource:
+        """Where the goals of the next episodes come from, of which such a share is evaluated."""
         c = self.config
         probability = min(
-            c.rewarded_goal_max, c.rewarded_goal_per_success * self._rewarded_episodes
+            left_to_reward(c.rewarded_goal_max, evaluated),
+            c.rewarded_goal_per_success * self._rewarded_episodes,
         )
         return GoalSource(self.proposals, self._rewarded_states, self.evaluation_goal, probability)
 

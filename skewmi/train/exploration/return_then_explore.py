@@ -167,7 +167,7 @@ class ReturnThenExplore(SkewExplore):
 
     def begin(self, episodes: int, evaluation: int, generator: np.random.Generator) -> None:
         """The first goals; those of evaluation and rewarded states are kept."""
-        source = self.skewed.source()
+        source = self.skewed.source(evaluation / episodes)
         goals, kept = source.draw(episodes, generator)
         goals[:evaluation] = source.evaluation_goals(evaluation, generator)
         kept[:evaluation] = True

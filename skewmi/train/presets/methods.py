@@ -101,7 +101,9 @@ def return_then_explore(
             revisit_probability=revisit_probability,
             keep_fields=keep_fields,
         ),
-        rollout=replace(base.rollout, noise_probability=0.0),
+        # Once a policy seems to be done, 17 of 25 copies tell within three iterations; the rest
+        # explores, so that 30 % do.
+        rollout=replace(base.rollout, noise_probability=0.0, evaluation_share=0.68),
     )
 
 

@@ -10,6 +10,7 @@ from skewmi.train.exploration.goal_plan import GoalSource, plan_goals
 from skewmi.train.exploration.goals import (
     SkewedGoals,
     SkewedGoalsConfig,
+    left_to_reward,
     propose,
     skew_weights,
 )
@@ -130,6 +131,33 @@ def test_goals_change_only_when_due(layout, make_episodes) -> None:
     assert goals.proposals is second
     goals.refresh(history, 900, rng)
     assert goals.proposals is not second
+
+
+@pytest.mark.parametrize("evaluated", [0, 2, 10, 17, 18, 24])
+def test_rewarded_goals_leave_episodes_to_explore(evaluated: int) -> None:
+    share = evaluated / 25 + (1.0 - evaluated / 25) * left_to_reward(0.7, evaluated / 25)
+    assert share == pytest.approx(max(0.7, evaluated / 25))
+
+
+def test_evaluated_episodes_count_among_those_with_rewarded_goals(layout, make_episodes) -> None:
+    rng = np.random.default_rng(12)
+    history = Replay(layout, 100 * layout.episode_steps, 2)
+    config = SkewedGoalsConfig(rewarded_goal_per_success=1.0, switch_probability=0.0)
+    goals = SkewedGoals(config, layout, rng)
+    episodes = make_episodes(layout, 10, rng, paid=1.0)
+    history.add(episodes, np.zeros_like(episodes.rewards))
+    goals.observe(episodes)
+    goals.refresh(history, 2_000, rng)
+    assert len(goals.source(0.0).rewarded)
+    goals.proposals = 99.0 + goals.proposals  # none of them was rewarded
+    for evaluated in (0, 12, 16):
+        proposed = 0
+        for _ in range(100):
+            goals.begin(25, evaluated, rng)
+            first = goals.planned(0)[evaluated:]
+            proposed += (first[:, None] == goals.proposals).all(-1).any(1).sum()
+        # 30 % of 2,500, four deviations.
+        assert abs(proposed - 750) < 92
 
 
 def test_state_of_the_goals_continues_alike(layout, make_episodes) -> None:
