@@ -108,6 +108,8 @@ def _scenes(tables: Tables) -> dict[str, Scene]:
 
 def _draw_frames(request: Request, runs: SweepRuns, folder: Path, stem: Path, dpi: int) -> Drawn:
     """Frames of one episode of a policy that was trained: of the first run that converged."""
+    from skewmi.evaluation import drawing
+
     wanted = request.more.get("configuration")
     entries = [e for e in runs.of(request.groups) if wanted in (None, e.facts["configuration"])]
     begun = [e for e in entries if (folder / e.name / "config.json").exists()]
@@ -120,7 +122,8 @@ def _draw_frames(request: Request, runs: SweepRuns, folder: Path, stem: Path, dp
     except (CheckpointError, NotFoundError) as error:
         return Drawn((), (str(error),))
     words = "success" if success else "no success"
-    figure.suptitle(
+    drawing.set_title(
+        figure,
         f"{request.title}: {chosen.facts['configuration']}, seed {chosen.facts['seed']} ({words})",
         fontsize=11,
     )

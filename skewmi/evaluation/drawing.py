@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -50,6 +51,25 @@ def save(figure: Any, path: Any, dpi: int) -> None:
             figure.savefig(draft, dpi=dpi)
     finally:
         pyplot.close(figure)
+
+
+def set_title(figure: Figure, title: str, fontsize: float) -> None:
+    """A title above all axes, over as many lines as the figure's width needs.
+
+    Args:
+        figure: Whose title.
+        title: Of it; line breaks stay.
+        fontsize: Points.
+    """
+    text = figure.suptitle(title, fontsize=fontsize)
+    room = 0.97 * figure.get_figwidth() * figure.dpi
+    lines: list[str] = []
+    for line in title.split("\n"):
+        text.set_text(line)
+        width = text.get_window_extent().width
+        fits = len(line) if width <= room else int(len(line) * room / width)
+        lines += textwrap.wrap(line, max(fits, 1)) or [""]
+    text.set_text("\n".join(lines))
 
 
 def strip(axis: Axes) -> None:

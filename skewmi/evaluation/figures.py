@@ -65,7 +65,7 @@ def draw_curves(run_dir: Path, path: Path, dpi: int) -> Path:
         axis.set_xlabel("trajectories")
         axis.set_xlim(left=0)
     _mark_discoveries(run_dir, axes.ravel()[2])
-    figure.suptitle(f"{run_dir.name}: {int(table['step'][-1]):,} environment steps", fontsize=11)
+    drawing.set_title(figure, f"{run_dir.name}: {int(table['step'][-1]):,} environment steps", 11)
     drawing.save(figure, path, dpi)
     return path
 
@@ -134,8 +134,10 @@ def draw_coverage(
     figure.colorbar(points, ax=axes[0], label="trajectory", shrink=0.8)
     meaning = "rewarded states" if config.rewarded else "states of the target, not rewarded here,"
     legend = f"; {meaning} lie inside orange" if any(outlined) else ""
-    figure.suptitle(
-        f"{layout.task}: states visited in {len(states):,} trajectories{legend}", fontsize=11
+    drawing.set_title(
+        figure,
+        f"{layout.task}: states visited in {len(states):,} trajectories{legend}",
+        fontsize=11,
     )
     drawing.save(figure, path, dpi)
     return path

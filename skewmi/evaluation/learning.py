@@ -154,7 +154,8 @@ def draw_learning(
     for axis in figure.axes:
         drawing.strip(axis)
     converged = sum(record.converged_at is not None for record in records)
-    figure.suptitle(
+    drawing.set_title(
+        figure,
         f"{first.config.task}, preset {first.config.preset}: {converged} of {len(records)} "
         f"run{'s' * (len(records) > 1)} converged"
         + f"; visited states of seed {shown.config.seed}"

@@ -61,3 +61,20 @@ def test_where_nothing_is_bounded_nothing_is_drawn() -> None:
 
 def test_a_region_as_large_as_the_ranges_is_not_drawn() -> None:
     assert drawn_extent(make_layout(), ("hand_y", "hand_z")) is None
+
+
+@pytest.mark.parametrize("width", [2.0, 3.5, 12.0])
+def test_titles_stay_within_the_figure(width: float) -> None:
+    words = "Table 1: trajectories to convergence, mean and deviation over seeds"
+    title = f"{words}\nshort"
+    figure, _ = drawing.new_axes(1, 1, width, 2.0)
+    drawing.set_title(figure, title, 11)
+    shown = figure._suptitle
+    extent = shown.get_window_extent()
+    assert extent.x0 >= 0.0
+    assert extent.x1 <= figure.bbox.width
+    lines = shown.get_text().split("\n")
+    assert lines[-1] == "short"
+    assert " ".join(lines[:-1]) == words
+    # As many lines as it takes, and no more.
+    assert (len(lines) == 2) == (width == 12.0)

@@ -110,4 +110,5 @@ def test_points_of_the_coverage_are_states_that_were_visited(
 
 
 def title_of(figure: Any) -> str:
-    return str(figure.get_suptitle())
+    """Its words, over however many lines."""
+    return str(figure.get_suptitle()).replace("\n", " ")

@@ -60,7 +60,7 @@ def draw_ablation(request: Request, runs: SweepRuns, stem: Path, dpi: int) -> Dr
     axis.set_xlabel(number)
     axis.set_ylabel(WORDS.get(metric, metric))
     axis.legend(frameon=False, fontsize=8)
-    figure.suptitle(request.title, fontsize=11)
+    drawing.set_title(figure, request.title, 11)
     return Drawn(write_figure(figure, rows, stem, dpi), tuple(lacking))
 
 

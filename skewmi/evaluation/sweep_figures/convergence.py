@@ -37,7 +37,8 @@ def draw_convergence(request: Request, runs: SweepRuns, stem: Path, dpi: int) ->
         )
     figure, axes = drawing.new_axes(1, 1, 3.9 + 1.75 * len(targets), 0.9 + 0.62 * len(lines))
     _draw_cells(axes[0, 0], cells)
-    figure.suptitle(
+    drawing.set_title(
+        figure,
         f"{request.title}\ntrajectories to convergence: mean ± deviation (converged of runs); "
         "paper's in brackets",
         fontsize=10,

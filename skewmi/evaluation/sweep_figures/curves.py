@@ -175,5 +175,5 @@ def _finish(
         handles.values(), handles.keys(), loc="outside lower center", frameon=False, fontsize=8,
         ncols=max(int(figure.get_figwidth() // _LEGEND_WIDTH), 1),
     )  # fmt: skip
-    figure.suptitle(f"{request.title}: mean and deviation", fontsize=11)
+    drawing.set_title(figure, f"{request.title}: mean and deviation", 11)
     return Drawn(write_figure(figure, rows, stem, dpi), lacking)

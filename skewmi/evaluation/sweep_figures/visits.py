@@ -81,7 +81,7 @@ def draw_visits(
                 axis.set_xlabel("")
             axis.set_ylabel("")
         line[0].set_ylabel(f"{entry.facts['configuration']}\n{scene.plane[1]}", fontsize=8)
-    figure.suptitle(f"{request.title}: visited states after so many refreshes", fontsize=11)
+    drawing.set_title(figure, f"{request.title}: visited states after so many refreshes", 11)
     return Drawn(write_figure(figure, rows, stem, dpi), tuple(lacking))
 
 
@@ -114,7 +114,7 @@ def draw_targets(
                          "plane": " ".join(scene.plane)})  # fmt: skip
         _labels(axis, first, scene)
         axis.set_title(str(task).replace("_", " "))
-    figure.suptitle(request.title, fontsize=11)
+    drawing.set_title(figure, request.title, 11)
     return Drawn(write_figure(figure, rows, stem, dpi), tuple(lacking))
 
 
