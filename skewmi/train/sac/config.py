@@ -25,6 +25,10 @@ class SacConfig(LearnerConfig):
     """Per control step."""
     polyak: float = 0.005
     """Fraction of the critics that moves into the target critics at each update."""
+    actor_average: float = 0.0
+    """Part that an average of the actor's weights keeps of itself at each update (0.999: over the
+    last thousand or so). Evaluated episodes and exported policies take it; 0: the latest weights.
+    """
     batch_size: int = 256
     """Transitions per update."""
     n_step: int = 3
@@ -70,6 +74,10 @@ class SacConfig(LearnerConfig):
         require(len(self.hidden) > 0 and min(self.hidden) > 0, f"hidden layers {self.hidden}")
         require(self.n_step >= 1, f"n_step is {self.n_step}, needs at least 1")
         require(0.0 < self.discount < 1.0, f"discount is {self.discount}, needs 0 < it < 1")
+        require(
+            0.0 <= self.actor_average < 1.0,
+            f"actor_average is {self.actor_average}, needs 0 <= it < 1",
+        )
         require(self.batch_size >= 1, f"batch_size is {self.batch_size}, needs at least 1")
         require(
             self.initial_temperature > 0.0,

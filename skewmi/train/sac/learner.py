@@ -116,7 +116,7 @@ class SacLearner:
 
     def policy_module(self, goal: Array) -> nn.Module:
         """The mean action towards a goal."""
-        return SacPolicyModule(self.sac.actor, self.inputs, goal)
+        return SacPolicyModule(self.sac.steady_actor, self.inputs, goal)
 
     def state_dict(self) -> State:
         """All that an identical continuation needs."""

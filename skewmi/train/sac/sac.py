@@ -10,6 +10,7 @@ would need the old policy's densities.
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 
 import torch
@@ -72,11 +73,16 @@ class Sac:
         self.target = Critics(2, size, config.hidden, config.layer_norm).to(self.device)
         self.target.load_state_dict(self.critics.state_dict())
         self.target.requires_grad_(False)
+        # The very actor where nothing is averaged.
+        self.steady_actor = self.actor
+        if config.actor_average > 0.0:
+            self.steady_actor = copy.deepcopy(self.actor).requires_grad_(False)
         self.log_temperature = torch.full((), config.initial_temperature, device=self.device).log_()
         target = config.target_entropy
         self.target_entropy = -float(action_dim) if target is None else target
 
         self._actor_parameters: list[Tensor] = [*self.actor.parameters()]
+        self._steady_parameters: list[Tensor] = [*self.steady_actor.parameters()]
         self._critic_parameters: list[Tensor] = [*self.critics.parameters()]
         self._target_parameters: list[Tensor] = [*self.target.parameters()]
         rate = config.learning_rate
@@ -92,10 +98,11 @@ class Sac:
         self._whole: WholeUpdate | None = None
 
     def act(self, inputs: Tensor, deterministic: bool = False) -> Tensor:
-        """Actions for inputs (n, input_dim). Shape (n, action_dim)."""
+        """Actions for inputs (n, input_dim), deterministic ones by the average of the actor's
+        weights if there is one. Shape (n, action_dim)."""
         with torch.no_grad():
             if deterministic:
-                mean: Tensor = self.actor(inputs)[0]
+                mean: Tensor = self.steady_actor(inputs)[0]
                 return torch.tanh(mean)
             return self.actor.sample(inputs, self._noise(len(inputs)))[0]
 
@@ -128,7 +135,15 @@ class Sac:
         else:
             scalars = self._eager_update(batch)
         self.updates += 1
+        if self.steady_actor is not self.actor:
+            self._average()
         return scalars
+
+    @torch.no_grad()
+    def _average(self) -> None:
+        """Move the average actor, at first to the mean of all weights so far."""
+        part = max(1.0 - self.config.actor_average, 1.0 / self.updates)
+        torch._foreach_lerp_(self._steady_parameters, self._actor_parameters, part)
 
     def _eager_update(self, batch: Batch) -> dict[str, Tensor]:
         """`update`, operation by operation."""
@@ -191,6 +206,8 @@ class Sac:
         self._whole = None  # It holds the moments that are replaced here.
         try:
             for name, module in self._modules():
+                if name == "steady_actor" and name not in state:
+                    name = "actor"  # of a run that averaged nothing: the average begins there
                 module.load_state_dict(state[name])
             self.log_temperature.copy_(state["log_temperature"])
             self.generator.set_state(state["generator"].cpu())
@@ -202,7 +219,14 @@ class Sac:
             raise CheckpointError(f"the weights do not fit these networks: {error}") from error
 
     def _modules(self) -> tuple[tuple[str, nn.Module], ...]:
-        return ("actor", self.actor), ("critics", self.critics), ("target", self.target)
+        modules: tuple[tuple[str, nn.Module], ...] = (
+            ("actor", self.actor),
+            ("critics", self.critics),
+            ("target", self.target),
+        )
+        if self.steady_actor is not self.actor:
+            modules += (("steady_actor", self.steady_actor),)
+        return modules
 
     def _optimizers(self) -> tuple[tuple[str, torch.optim.Adam], ...]:
         return (
