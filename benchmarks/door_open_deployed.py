@@ -1,0 +1,105 @@
+"""DoorOpen from its sparse reward to the deployed chain: learned, exported, deployed.
+
+    python benchmarks/door_open_deployed.py --folder runs/door --json
+
+For each of the five targets: return-then-explore under the documented randomisation until it has
+converged (a run in the folder goes on, or is taken as it is if it has), `export-onnx`, `evaluate`
+on the nominal model and under the randomisation, and `deploy` on the simulated robot, over Zenoh
+and in lock-step: nominal, randomised, and nominal at half speed. Some four minutes of training and
+three of the rest a target.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+from pathlib import Path
+from typing import Any
+
+from bundled_policy import deploy, run
+from common import argument_parser, print_result, progress, write_result
+
+from skewmi.child import child_command
+from skewmi.sim.tasks.door_open.targets import TARGETS
+
+PRESET = "improved-return-then-explore"
+STEPS = 200_000
+"""At which a run that has not converged is given up."""
+
+
+def trained(folder: Path, target: str, seed: int) -> dict[str, Any]:
+    """The run of a target, trained as far as it goes; what it found, and when."""
+    run_dir = folder / target
+    given = ["--task", "door_open", "--preset", PRESET, "--option", f"target={target}"]
+    given += ["--seed", str(seed), "--variation", "randomised", "--steps", str(STEPS)]
+    command = child_command(
+        "-m", "skewmi.cli.main", "train", *given, "--stop-on-convergence", "--resume", "--json",
+        "--run-dir", str(run_dir),
+    )  # fmt: skip
+    progress(f"training towards {target} in {run_dir}")
+    output = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout
+    document: dict[str, Any] = json.loads(output)
+    return {
+        "trajectories": document["trajectories"],
+        "converged_at": document["converged_at"],
+        "converged_at_paper": document["converged_at_paper"],
+    }
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """Figures of every target."""
+    found = {}
+    seed = options.seed
+    many = ("--episodes", str(options.episodes), "--seed", str(seed))
+    for target in options.targets:
+        training = trained(options.folder, target, seed)
+        policy = str(options.folder / f"{target}.onnx")
+        exported = run("export-onnx", str(options.folder / target), "--out", policy, "--overwrite")
+        record = str(options.folder / f"{target}.mcap")
+        found[target] = {
+            "training": training,
+            "largest_difference_to_torch": exported["max_difference"],
+            "evaluate": {
+                "nominal": success(run("evaluate", policy, *many)),
+                "randomised": success(run("evaluate", policy, *many, "--variation", "randomised")),
+            },
+            "deploy": {
+                "nominal": deploy(
+                    policy, seed, options.deployed, "--lock-step", "--record", record, "--overwrite"
+                ),
+                "randomised": deploy(
+                    policy, seed, options.deployed, "--lock-step", "--variation", "randomised"
+                ),
+                "half_speed": deploy(
+                    policy, seed, options.deployed, "--lock-step", "--speed", "0.5"
+                ),
+            },
+        }
+    return {"targets": found}
+
+
+def success(report: dict[str, Any]) -> dict[str, Any]:
+    """What of an evaluation is kept."""
+    return {key: report[key] for key in ("episodes", "successes", "success_rate")}
+
+
+def main() -> None:
+    parser = argument_parser(__doc__)
+    parser.add_argument("--folder", type=Path, required=True, help="of runs, policies, recordings")
+    parser.add_argument(
+        "--targets", nargs="+", choices=[*TARGETS], default=[*TARGETS], help="which"
+    )
+    parser.add_argument("--episodes", type=int, default=200, help="evaluated, each model")
+    parser.add_argument("--deployed", type=int, default=20, help="deployed, each way")
+    options = parser.parse_args()
+    keys = ("targets", "episodes", "deployed")
+    config = {key: getattr(options, key) for key in keys} | {"preset": PRESET, "steps": STEPS}
+    document = write_result(
+        "door_open_deployed", measure(options), options.out, seed=options.seed, config=config
+    )
+    print_result(document, as_json=options.json)
+
+
+if __name__ == "__main__":
+    main()
