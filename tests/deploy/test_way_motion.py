@@ -13,6 +13,7 @@ from way_scenes import in_contact, planner, task_start, touches
 from skewmi.cli.main import main
 from skewmi.deploy.safety.flange_space import CALIBRATION, FINGER_TIP, TOUCH_SPEED
 from skewmi.errors import ConfigurationError
+from skewmi.sim.tasks.open_press_close.definition import ARM as SCENE
 from skewmi.trajectory import GRID_S, Array
 
 
@@ -88,3 +89,27 @@ def test_jogging_moves_by_what_was_asked_for_and_slowly(
     assert_rests_whoever_is_killed(seen)
     tips = (lambda p, r: p + FINGER_TIP * r[:, :, 2])(*ARM.forward(seen.q))
     assert np.linalg.norm(np.diff(tips, axis=0), axis=1).max() / GRID_S <= TOUCH_SPEED
+
+
+def test_jogging_within_the_tasks_box_cannot_leave_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with robot_at(task_start(), monkeypatch) as (robot, seen):
+        flags = ["--connect", robot, "--lock-step", "--workspace", "task"]
+        assert main(["jog", "--x", "3", "--z", "40", *flags]) == 0
+        position, _ = ARM.forward(seen.q[[0, -1]])
+        np.testing.assert_allclose(np.diff(position, axis=0)[0], (0.003, 0.0, 0.04), atol=2e-5)
+        assert main(["jog", "--z", "30", *flags]) == 0
+        # 15 mm are left above and 7 before the hand.
+        count = len(seen.chunks)
+        for step in ("--z", "--x"):
+            assert main(["jog", step, "40", *flags]) == 2
+            assert "outside the workspace" in capsys.readouterr().err
+        assert len(seen.chunks) == count
+    assert_kept(seen)
+    assert_rests_whoever_is_killed(seen)
+    moved = ARM.forward(seen.q)[0] - position[0]
+    room = np.subtract(SCENE.high, SCENE.start)
+    assert (moved.max(axis=0) <= room).all()
+    assert room[2] < 0.07 + 0.04
+    assert room[0] < 0.003 + 0.04
