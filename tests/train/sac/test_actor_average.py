@@ -7,29 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from sac_batches import batches
 from train_runs import resumes_alike
 
 from skewmi.errors import ConfigurationError
 from skewmi.sim import tasks
 from skewmi.train.sac.config import SacConfig
 from skewmi.train.sac.learner import SacLearner
-from skewmi.train.sac.sac import Batch, Sac
+from skewmi.train.sac.sac import Sac
 
 CONFIG = SacConfig(hidden=(16, 16), engine="eager", learning_rate=3e-3, actor_average=0.8)
-
-
-def batches(count: int, n: int = 32) -> list[Batch]:
-    g = torch.Generator().manual_seed(5)
-    return [
-        Batch(
-            torch.randn(n, 5, generator=g),
-            2 * torch.rand(n, 2, generator=g) - 1,
-            torch.randn(n, generator=g),
-            torch.randn(n, 5, generator=g),
-            0.9 * torch.rand(n, generator=g),
-        )
-        for _ in range(count)
-    ]
 
 
 def weights(module: torch.nn.Module) -> np.ndarray:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from sac_batches import batches
 from train_runs import resumes_alike
 
 from skewmi.errors import CheckpointError, ConfigurationError
@@ -17,27 +18,13 @@ from skewmi.train.sac import compiled as compiled_module
 from skewmi.train.sac import engines as engines_module
 from skewmi.train.sac.compiled import CompiledUpdate, can_compile
 from skewmi.train.sac.config import SacConfig
-from skewmi.train.sac.sac import Batch, Sac
+from skewmi.train.sac.sac import Sac
 
 CONFIG = SacConfig(hidden=(16, 16), engine="eager", learning_rate=3e-3)
 COMPILED = replace(CONFIG, engine="compiled", compile_after=3)
 needs_compiler = pytest.mark.skipif(
     not can_compile(torch.device("cpu")), reason="needs a C++ compiler"
 )
-
-
-def batches(count: int, n: int = 32) -> list[Batch]:
-    g = torch.Generator().manual_seed(5)
-    return [
-        Batch(
-            torch.randn(n, 5, generator=g),
-            2 * torch.rand(n, 2, generator=g) - 1,
-            torch.randn(n, generator=g),
-            torch.randn(n, 5, generator=g),
-            0.9 * torch.rand(n, generator=g),
-        )
-        for _ in range(count)
-    ]
 
 
 @pytest.fixture
