@@ -62,7 +62,7 @@ PRESETS = (
         updates_per_step=0.4,
         arrival_radius=0.7,
         stall_distance=0.3,
-        evaluation_share=RolloutConfig().evaluation_share,  # the results' of this preset
+        evaluation_share=RolloutConfig().evaluation_share,  # as in its results over seeds
     ),
     _REDUCED,
     *methods.PAPER.presets(_REDUCED),
