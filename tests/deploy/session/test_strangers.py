@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
@@ -23,6 +24,8 @@ from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.run import run_deploy
 from skewmi.deploy.session.news import SessionNews
 from skewmi.deploy.wire import topics
+from skewmi.deploy.wire.channels import LatestReader
+from skewmi.deploy.wire.transport import Link, TransportConfig
 from skewmi.errors import ConfigurationError, TransportError
 from skewmi.policy_io import Array, Policy
 from skewmi.sim.tasks.open_press_close.definition import make_layout
@@ -48,6 +51,37 @@ class Idle:
         if len(self.observations) > self._steps:
             self._at_the_end()
             raise EnoughError("enough")
+        return np.array([0.0, 0.0, 1.0])
+
+
+class IdleUntilNamed(Idle):
+    """An idle policy that somebody comes to, until the session says on the link that it has heard.
+
+    Args:
+        statuses: Of a subscriber to `/yumi/status`.
+        come: Begins to send there.
+    """
+
+    LONGEST_S = 60.0
+
+    def __init__(self, statuses: LatestReader, come: Callable[[], None]) -> None:
+        super().__init__(5, come)
+        self._statuses = statuses
+        self._deadline: float | None = None
+
+    def act(self, observation: Array) -> Array:
+        if self._deadline is None:
+            try:
+                return super().act(observation)
+            except EnoughError:
+                self._deadline = time.monotonic() + self.LONGEST_S
+        for sample in self._statuses.drain():
+            news = SessionNews.decode(sample.payload)
+            if news is not None and "stranger" in news.strangers:
+                raise EnoughError("enough")
+        assert time.monotonic() < self._deadline, "the session does not name the stranger"
+        # In lock-step the arm waits for it.
+        time.sleep(0.01)
         return np.array([0.0, 0.0, 1.0])
 
 
@@ -202,13 +236,17 @@ def test_second_server_during_a_run_is_not_listened_to(lock_step_robot: str) -> 
     """It says that the arm is in fault, at the end, too; the run ends as it would have."""
     description = json.loads(describe(lock_step_robot).to_json())
     false = json.dumps({**description, "state": "fault", "reason": "says a stranger"})
+    client = TransportConfig.for_client(lock_step_robot)
     with ExitStack() as stack:
 
         def come() -> None:
             stack.enter_context(stranger(lock_step_robot, topics.YUMI_STATUS, serve=false))
 
+        link = stack.enter_context(Link.open(client, "watcher"))
+        statuses = link.subscribe(topics.YUMI_STATUS, depth=None)
+        link.wait_for_robot(60.0)
         options = DeployOptions(connect=lock_step_robot, lock_step=True)
-        report = run_deploy(Idle(5, come), options)
+        report = run_deploy(IdleUntilNamed(statuses, come), options)
     assert report.episodes[0].reason == "enough", report.as_dict()
     assert named(report) == {("/yumi/status", "stranger")}
 
