@@ -59,14 +59,14 @@ structure: $(VENV)/installed  ## counts of how the project is built
 	@$(BIN)/python benchmarks/structure.py
 
 policy: $(VENV)/installed  ## train the bundled policy again (some 30 minutes) into runs/
-	$(BIN)/skewmi train --task open_press_close --run-dir runs/seed-0 --stop-on-convergence --resume
+	$(BIN)/skewmi train --task open_press_close --preset improved --run-dir runs/seed-0 --stop-on-convergence --resume
 	$(BIN)/skewmi train --start-from runs/seed-0 --run-dir runs/robust --variation randomised --steps 660000
 	$(BIN)/skewmi export-onnx runs/robust --out runs/open_press_close.onnx
 
 LIDS := benchmarks/loose_lids
 LOOSE := $(BIN)/skewmi train --resume --run-dir runs/loose
 loose-lid-policy: $(VENV)/installed  ## train the one for lids that fall (an hour or more) into runs/
-	$(LOOSE)-1 --task open_press_close --option time_input=true --variation $(LIDS)/stage-1.yaml --steps 525000
+	$(LOOSE)-1 --task open_press_close --preset improved --option time_input=true --variation $(LIDS)/stage-1.yaml --steps 525000
 	$(LOOSE)-2 --start-from runs/loose-1 --variation $(LIDS)/stage-2.yaml --steps 1140000
 	$(LOOSE)-3 --start-from runs/loose-2 --variation $(LIDS)/stage-3.yaml --steps 1480000
 	$(LOOSE)-4 --start-from runs/loose-3 --variation $(LIDS)/stage-4.yaml --steps 1795000

@@ -15,7 +15,7 @@ from skewmi.train.checkpoint import read_run_header
 from skewmi.train.config import MetricsConfig, RolloutConfig, TrainConfig
 from skewmi.train.exploration.protocol import ExplorationConfig
 from skewmi.train.learner import LearnerConfig
-from skewmi.train.presets import DEFAULT, default_preset, preset
+from skewmi.train.presets import DEFAULT, default_preset, preset, recommended
 from skewmi.train.registry import EXPLORATIONS, LEARNERS, default_config
 
 _HELP = "Another {} than the preset's, with its own default numbers: {}."
@@ -30,7 +30,8 @@ class Origin:
     task: OptionalTaskName = None
     """Task to learn. Not needed with --resume."""
     preset: str | None = None
-    """Where all numbers start from: `improved` is ours and the default, `paper` the
+    """Where all numbers start from. Default: `improved-return-then-explore`, the quickest, for the
+    tasks that come with it; beside --learner or --exploration `improved`. `paper` is the
     publication's."""
     learner: Annotated[
         str | None, tyro.conf.arg(help=_HELP.format("learner", ", ".join(LEARNERS)))
@@ -144,13 +145,25 @@ def origin_config(origin: Origin) -> TrainConfig:
     config = (
         default_preset("")
         if origin.task is None
-        else starting_config(origin.task, origin.preset or DEFAULT)
+        else starting_config(origin.task, origin.preset or _preset_of(origin))
     )
     if origin.learner is not None:
         config = replace(config, learner=default_config(LEARNERS, origin.learner))
     if origin.exploration is not None:
         config = replace(config, exploration=default_config(EXPLORATIONS, origin.exploration))
     return config
+
+
+def _preset_of(origin: Origin) -> str:
+    """Preset of somebody who names none.
+
+    Raises:
+        NotFoundError: No such task.
+    """
+    assert origin.task is not None
+    if origin.learner is not None or origin.exploration is not None:
+        return DEFAULT
+    return recommended(origin.task, tasks.find(origin.task).presets)
 
 
 def default_options(arguments: Sequence[str]) -> TrainCommand:

@@ -43,7 +43,7 @@ def test_file_says_where_it_came_from(maze_run: Path, exported: Path) -> None:
     names = [field.name for field in original.layout.state_fields]
     assert metadata["reference_point"] == dict(zip(names, original.goal, strict=True))
     assert metadata["task"] == "point_maze"
-    assert metadata["method"] == "skew-explore"
+    assert metadata["method"] == "return-then-explore"
     assert metadata["seed"] == 0
     assert metadata["environment_steps"] == original.metadata["environment_steps"]
     assert metadata["training_config"]["rollout"]["num_envs"] == 4

@@ -104,7 +104,7 @@ def test_every_number_of_the_preset_has_a_flag(tmp_path, capsys) -> None:
     changes += ["--option", "time_input=false"]
     assert main(["train", "--run-dir", str(folder), *SHORT, *changes]) == 0
     config, _ = read_run_header(folder)
-    base = preset("point_maze")
+    base = preset("point_maze", "improved-return-then-explore")
     assert config.learner == replace(base.learner, n_step=1, hidden=(16, 8), layer_norm=False)
     assert config.exploration == replace(base.exploration, sigma=1.5, trajectory_density="whole")
     assert dict(config.task_options) == {"time_input": False}
@@ -115,6 +115,21 @@ def test_every_number_of_the_preset_has_a_flag(tmp_path, capsys) -> None:
     assert "leave out --learner.n-step, --num-envs 4 (the run has 2)" in capsys.readouterr().err
     assert main([*again, "--learner.n-step", "1", "--num-envs", "2"]) == 0
     assert read_run_header(folder)[0] == replace(config, total_steps=1200)
+
+
+@pytest.mark.parametrize("task", ["point_maze", "door_open", "open_press_close"])
+def test_who_names_nothing_gets_return_then_explore(task: str) -> None:
+    nothing = default_options(["--task", task]).numbers
+    quickest = preset(task, "improved-return-then-explore")
+    assert (nothing.learner, nothing.exploration) == (quickest.learner, quickest.exploration)
+    assert nothing.rollout == quickest.rollout
+    # It cannot be learned with PPO, and whoever names a part combines it with `improved`.
+    combined = default_options(["--task", task, "--learner", "ppo"]).numbers
+    assert combined.exploration == preset(task, "improved").exploration
+    combined = default_options(["--task", task, "--exploration", "skew-fit"]).numbers
+    assert combined.learner == preset(task, "improved").learner
+    named = default_options(["--task", task, "--preset", "improved"]).numbers
+    assert named.exploration == preset(task, "improved").exploration
 
 
 def test_method_by_name_brings_its_own_numbers(tmp_path) -> None:
@@ -202,7 +217,7 @@ def resumes(run_dir: Path, *options: str) -> int:
     ("flag", "other", "own"),
     [
         ("--task", "open_press_close", "point_maze"),
-        ("--preset", "paper", "improved"),
+        ("--preset", "paper", "improved-return-then-explore"),
         ("--seed", "7", "5"),
         ("--seed", "0", "5"),
         ("--num-envs", "25", "2"),
