@@ -2,9 +2,12 @@
 
 Robots are drawn from the documented ranges (servo 0.4 to 1.6, friction 0 to 2 N m, delay 0 to
 40 ms), follow an excitation in the simulation of the whole scene, and are identified with the bare
-model of the arm. A motion with the next seed is held out. With
-`--mass-error` the masses and inertias of the arm differ from the model's, which then knows that
-they may (`inertia_uncertainty`): only the ratios to stiffness are to be right.
+model of the arm. A motion with the next seed is held out. What
+the model has not may be added: with `--mass-error` the masses and inertias of the arm differ from
+the model's, which then knows that they may (`inertia_uncertainty`): only the ratios to stiffness
+are to be right; with `--stiction` joints have more friction at rest than in motion (Stribeck), and
+a friction is right if it is one of those between; with `--offset` measured angles are not the true
+ones.
 
     python benchmarks/servo_identification.py --robots 10 --seconds 60 --json
 """
@@ -15,6 +18,7 @@ import argparse
 import json
 import time
 from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import asdict
 from io import StringIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -24,7 +28,7 @@ import numpy as np
 from common import argument_parser, print_result, progress, write_result
 
 # isort: split
-from calibrations import DrawnRobot
+from calibrations import DrawnRobot, UnknownToModel
 
 from skewmi.calibration.clear_space import ClearSpace
 from skewmi.calibration.excitation import Excitation
@@ -56,18 +60,18 @@ def motion(args: argparse.Namespace, seconds: float, seed: int) -> JointTrajecto
 def one_robot(args: argparse.Namespace, number: int) -> dict[str, Any]:
     rng = np.random.default_rng([args.seed, number])
     robot = DrawnRobot.draw(rng)
-    mass_scale = 1.0 + float(rng.uniform(-args.mass_error, args.mass_error))
+    unknown = draw_unknown(args, rng)
     seed = args.seed + 2 * number
     lengths = ((args.seconds, seed), (HELD_OUT_S, seed + 1))
     excited = time.perf_counter()
     if args.deployed:
         recording, held_out = (
-            deployed(args, robot.variation(args.noise, s, mass_scale), length, s)
+            deployed(args, robot.variation(args.noise, s, unknown), length, s)
             for length, s in lengths
         )
     else:
         recording, held_out = (
-            robot.record(motion(args, length, s), args.noise, s, mass_scale=mass_scale)
+            robot.record(motion(args, length, s), args.noise, s, unknown=unknown)
             for length, s in lengths
         )
     excited = time.perf_counter() - excited
@@ -85,10 +89,12 @@ def one_robot(args: argparse.Namespace, number: int) -> dict[str, Any]:
         float(np.sqrt((position_rms(model, servo, held_out) ** 2).mean()))
         for servo in (DelayedServo(CONTACT_SERVO, 0.0), found.servo)
     ]
-    return errors(found, truth(robot)) | {
+    row = errors(found, truth(robot))
+    row["held_by_95"] |= friction_held(found, robot, unknown.stiction_scale)
+    return row | {
         "delay_ms": robot.delay_ms,
         "seconds_of_exciting_both": excited,
-        "mass_scale": mass_scale,
+        "unknown": asdict(unknown),
         "residual_rms_rad": found.residual_rms,
         "residual_autocorrelation": found.autocorrelation_time,
         "held_out_rms_nominal_rad": rms[0],
@@ -98,6 +104,28 @@ def one_robot(args: argparse.Namespace, number: int) -> dict[str, Any]:
         # Of all threads: what a machine that others use does not change much.
         "seconds_of_processor": work,
     }
+
+
+def draw_unknown(args: argparse.Namespace, rng: np.random.Generator) -> UnknownToModel:
+    mass_scale = 1.0 + float(rng.uniform(-args.mass_error, args.mass_error))
+    return UnknownToModel(
+        mass_scale,
+        float(rng.uniform(1.0, args.stiction)),
+        float(np.exp(rng.uniform(np.log(0.01), np.log(0.2)))),
+        tuple(rng.uniform(-args.offset, args.offset, 7).tolist()),
+    )
+
+
+def friction_held(
+    found: ServoIdentification, robot: DrawnRobot, stiction_scale: float
+) -> dict[str, int]:
+    """How many intervals of friction and friction/kp hold one between motion and rest."""
+    held = {}
+    for name in ("frictionloss", "frictionloss_over_kp"):
+        moving, estimate = truth(robot)[name], found.estimates[name]
+        at_rest = stiction_scale * moving
+        held[name] = int(((estimate.low <= at_rest) & (moving <= estimate.high)).sum())
+    return held
 
 
 def deployed(
@@ -184,6 +212,8 @@ def main() -> None:
     )
     parser.add_argument("--noise", type=float, default=1e-4, help="of joint positions, rad")
     parser.add_argument("--mass-error", type=float, default=0.0, help="masses within +- this part")
+    parser.add_argument("--stiction", type=float, default=1.0, help="friction at rest, up to")
+    parser.add_argument("--offset", type=float, default=0.0, help="of angles, within +- rad")
     parser.add_argument("--threads", type=int, default=2, help="that simulate candidates")
     args = parser.parse_args()
     rows = []
@@ -198,7 +228,10 @@ def main() -> None:
         )
     config = {
         key: getattr(args, key)
-        for key in ("robots", "seconds", "limits", "deployed", "noise", "mass_error", "threads")
+        for key in (
+            *("robots", "seconds", "limits", "deployed", "noise"),
+            *("mass_error", "stiction", "offset", "threads"),
+        )
     }
     document = write_result(
         "servo_identification",

@@ -28,6 +28,7 @@ from skewmi.calibration.servo_parameters import ServoUnknowns
 from skewmi.calibration.servo_recording import ServoRecording
 from skewmi.calibration.servo_rivals import BETTER, outside, remaining_rivals, with_its_delay
 from skewmi.calibration.servo_search import LEAST_MOTION, SearchedServos, ServoSearch
+from skewmi.calibration.servo_stiction import fit_stiction
 from skewmi.calibration.uncertainty import FitCovariance
 from skewmi.errors import ConfigurationError
 from skewmi.robot_models.servo import ServoParameters
@@ -35,6 +36,8 @@ from skewmi.robot_models.yumi import Array
 
 ITERATIONS, ITERATIONS_AGAIN = 12, 6
 """On all of the motion, before and after the joints are weighted anew."""
+ITERATIONS_OTHERWISE = 3
+"""The same with other weights and friction at rest, which takes three times as long."""
 ROUNDS = 2
 """Times that what is found may give way to a better rival."""
 
@@ -100,6 +103,7 @@ class ServoIdentifier:
             require_motion(recording)
         self._unknowns = ServoUnknowns(nominal, free_armature)
         self._inertia = inertia_uncertainty
+        self._model, self._recordings = model, tuple(recordings)
         self._fit = ServoFit(model, recordings, self._unknowns)
         self._search = ServoSearch(model, recordings, self._unknowns)
         self._seconds = sum(float(np.ptp(recording.times_s)) for recording in recordings)
@@ -113,10 +117,19 @@ class ServoIdentifier:
         unknowns = self._unknowns
         searched = self._search.run(None if start is None else unknowns.vector(start))
         vector, residual, covariance = self._fitted(searched)
+        fit = self._fit
+        if hangs_together(residual):
+            sticking = fit_stiction(self._model, self._recordings, self._unknowns, vector, residual)
+            if sticking is not None:
+                fit, vector = sticking.fit, sticking.vector
+                residual = fit.residual(vector[:, None])[..., 0]
+                rivals = otherwise(fit, vector, residual, ITERATIONS_OTHERWISE)
+                covariance = fit.covariance(vector, residual)
+                covariance = replace(covariance, rivals=rivals - vector[:, None])
         far = unknowns.vector(DelayedServo(unknowns.nominal, 0.0))
         return ServoIdentification(
-            servo=unknowns.servo(vector),
-            estimates=estimates(unknowns, vector, covariance, self._inertia),
+            servo=fit.unknowns.servo(vector),
+            estimates=estimates(fit.unknowns, vector, covariance, self._inertia),
             residual_rms=joint_rms(residual),
             autocorrelation_time=autocorrelation_times(residual),
             nominal_rms=float(np.sqrt(self._fit.squares(far[:, None]).mean())),
@@ -139,26 +152,35 @@ class ServoIdentifier:
         residual = self._fit.residual(vector[:, None])[..., 0]
         covariance = self._fit.covariance(vector, residual)
         rivals = np.column_stack(
-            (rivals[:, outside(rivals, vector, covariance)], self._otherwise(vector, residual))
+            (
+                rivals[:, outside(rivals, vector, covariance)],
+                otherwise(self._fit, vector, residual, ITERATIONS_AGAIN),
+            )
         )
         return vector, residual, replace(covariance, rivals=rivals - vector[:, None])
 
-    def _otherwise(self, vector: Array, residual: Array) -> Array:
-        """The minimum with joints weighted by the size of their residuals alone. Shape (p, 0 or 1).
 
-        If the model is right any weights find the same. How far apart two of them are is what it
-        lacks, of which no residual tells: a wrong mass drags the delay of all joints along.
-        """
-        if not hangs_together(residual):
-            return np.empty((len(vector), 0))
-        weight = 1.0 / self._fit.sigma(residual)
-        return self._fit.minimised(vector, weight, ITERATIONS_AGAIN)[:, None]
+def otherwise(fit: ServoFit, vector: Array, residual: Array, iterations: int) -> Array:
+    """The minimum with joints weighted by the size of their residuals alone. Shape (p, 0 or 1).
+
+    If the model is right any weights find the same. How far apart two of them are is what it
+    lacks, of which no residual tells: a wrong mass drags the delay of all joints along.
+
+    Args:
+        fit: Of the servos.
+        vector: The minimum. Shape (p,).
+        residual: There, rad. Shape (m, 7).
+        iterations: At most.
+    """
+    if not hangs_together(residual):
+        return np.empty((len(vector), 0))
+    return fit.minimised(vector, 1.0 / fit.sigma(residual), iterations)[:, None]
 
 
 def position_rms(model: ServoModel, servo: DelayedServo, recording: ServoRecording) -> Array:
-    """RMS of simulated less measured positions of a recording, rad. Shape (7,)."""
-    error = model.positions([servo], recording)[0] - recording.positions
-    return joint_rms(error[settled(recording)])
+    """RMS of simulated less measured positions of a recording about its mean, rad. Shape (7,)."""
+    error = (model.positions([servo], recording)[0] - recording.positions)[settled(recording)]
+    return joint_rms(error - error.mean(axis=0))
 
 
 def identify_servos(

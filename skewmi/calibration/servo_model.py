@@ -18,6 +18,7 @@ from mujoco import rollout
 from numpy.typing import NDArray
 
 from skewmi.calibration.servo_recording import ServoRecording
+from skewmi.calibration.stiction import Stiction
 from skewmi.errors import ConfigurationError, SimulationError
 from skewmi.robot_models import mjcf, servo, yumi
 from skewmi.robot_models.servo import ServoParameters
@@ -26,6 +27,9 @@ from skewmi.trajectory import GRID_S, JointTrajectory
 
 LONGEST_DELAY_S = 0.2
 """Largest delay that can be simulated, s."""
+STICTION_PASSES, STICTION_PASSES_AFTER_HINT = 3, 2
+"""Rollouts of joints that stick, each with the speeds of the one before; without a hint there is
+one more before them."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +39,8 @@ class DelayedServo:
     parameters: ServoParameters
     delay_s: float
     """From when a command is due until it is the servos' target, s."""
+    stiction: Stiction | None = None
+    """What joints have more of at rest than `parameters.frictionloss`; None for nothing."""
 
     def __post_init__(self) -> None:
         if not (isfinite(self.delay_s) and 0.0 <= self.delay_s <= LONGEST_DELAY_S):
@@ -81,12 +87,18 @@ class ServoModel:
         self._threads = threads
         self._data = [mujoco.MjData(self._model) for _ in range(threads)]
 
-    def positions(self, candidates: Sequence[DelayedServo], recording: ServoRecording) -> Array:
+    def positions(
+        self,
+        candidates: Sequence[DelayedServo],
+        recording: ServoRecording,
+        speeds: Array | None = None,
+    ) -> Array:
         """Where each candidate is when positions were measured.
 
         Args:
             candidates: c of them.
             recording: Gives commands, start and times.
+            speeds: See `states`.
 
         Returns:
             rad. Shape (c, m, 7).
@@ -94,11 +106,15 @@ class ServoModel:
         Raises:
             SimulationError: A candidate's states are not finite.
         """
-        q, v = self.states(candidates, recording.commands, recording.start)
+        q, v = self.states(candidates, recording.commands, recording.start, speeds)
         return between_states(q, v, recording.times_s)
 
     def states(
-        self, candidates: Sequence[DelayedServo], commands: JointTrajectory, start: Array
+        self,
+        candidates: Sequence[DelayedServo],
+        commands: JointTrajectory,
+        start: Array,
+        speeds: Array | None = None,
     ) -> tuple[Array, Array]:
         """Positions (rad) and velocities (rad/s) at every command's time.
 
@@ -108,6 +124,8 @@ class ServoModel:
             candidates: c of them.
             commands: n samples; the arm rests before the first.
             start: Where it rests, rad. Shape (7,).
+            speeds: Of a candidate like these at every command's time, rad/s, shape (n, 7): saves
+                the first rollout of candidates that stick.
 
         Returns:
             Each shape (c, n, 7).
@@ -117,7 +135,22 @@ class ServoModel:
         """
         target = commands.q + self.velocity_lead * commands.v
         late = np.array([late_targets(target, candidate.delay_s) for candidate in candidates])
-        return self.driven([candidate.parameters for candidate in candidates], late, start)
+        stictions = [c.stiction for c in candidates if c.stiction is not None]
+        if speeds is None or len(stictions) < len(candidates):
+            q, v = self.driven([candidate.parameters for candidate in candidates], late, start)
+        else:
+            v = np.broadcast_to(speeds, late.shape).copy()
+            q = v.copy()
+        if stictions:
+            which = [k for k, candidate in enumerate(candidates) if candidate.stiction is not None]
+            resting = [
+                stiction.at_rest(candidates[k].parameters)
+                for k, stiction in zip(which, stictions, strict=True)
+            ]
+            for _ in range(STICTION_PASSES if speeds is None else STICTION_PASSES_AFTER_HINT):
+                relief = [s.relief(v[k]) for k, s in zip(which, stictions, strict=True)]
+                q[which], v[which] = self.driven(resting, late[which] + relief, start)
+        return q, v
 
     def driven(
         self, servos: Sequence[ServoParameters], targets: Array, start: Array

@@ -14,6 +14,7 @@ from math import log
 import numpy as np
 
 from skewmi.calibration.servo_model import DelayedServo
+from skewmi.calibration.stiction import Stiction
 from skewmi.robot_models.servo import ServoParameters
 from skewmi.robot_models.yumi import Array
 
@@ -23,6 +24,10 @@ LARGEST_FRICTION = 10.0
 """N m at the nominal stiffness: a softer servo's is sought up to less."""
 LONGEST_DELAY_S = 0.15
 DELAY_UNIT_S = 0.01
+STRIBECK_VELOCITY = 0.05
+"""rad/s"""
+WIDEST_VELOCITY = log(10.0)
+"""Stribeck velocities are sought within this factor of that."""
 _LEAST_ANGLE = 1e-4
 
 
@@ -34,15 +39,18 @@ class ServoUnknowns:
         nominal: Where the search begins and ends if nothing is known; its force limits, and its
             armature unless `free_armature`, are taken for known.
         free_armature: Whether the armature is an unknown, too.
+        sticks: Whether friction at rest is one, too: more / kp in the friction's units, and
+            log(Stribeck velocity / `STRIBECK_VELOCITY`), after the armature.
     """
 
     nominal: ServoParameters
     free_armature: bool = False
+    sticks: bool = False
 
     @property
     def size(self) -> int:
         """Numbers of a vector."""
-        return 22 + 7 * self.free_armature
+        return 22 + 7 * self.free_armature + 14 * self.sticks
 
     @property
     def friction_unit(self) -> Array:
@@ -56,6 +64,9 @@ class ServoUnknowns:
         friction = LARGEST_FRICTION / self.nominal.kp / self.friction_unit
         high = [wide, wide, friction, *([wide] if self.free_armature else [])]
         low = [-wide, -wide, np.zeros(7), *([-wide] if self.free_armature else [])]
+        if self.sticks:
+            high += [friction, np.full(7, WIDEST_VELOCITY)]
+            low += [np.zeros(7), np.full(7, -WIDEST_VELOCITY)]
         return (
             np.concatenate([*low, [0.0]]),
             np.concatenate([*high, [LONGEST_DELAY_S / DELAY_UNIT_S]]),
@@ -72,6 +83,11 @@ class ServoUnknowns:
         ]
         if self.free_armature:
             parts.append(np.log(own.armature / nominal.armature))
+        if self.sticks and servo.stiction is not None:
+            more, speed = servo.stiction.angle, servo.stiction.velocity
+            parts += [more / self.friction_unit, np.log(speed / STRIBECK_VELOCITY)]
+        elif self.sticks:
+            parts += [np.zeros(7), np.zeros(7)]
         low, high = self.bounds()
         within: Array = np.clip(np.concatenate([*parts, [servo.delay_s / DELAY_UNIT_S]]), low, high)
         return within
@@ -87,7 +103,11 @@ class ServoUnknowns:
         if self.free_armature:
             changes["armature"] = self.nominal.armature * np.exp(vector[21:28])
         parameters = self.nominal.with_changes(**changes)
-        return DelayedServo(parameters, float(vector[-1]) * DELAY_UNIT_S)
+        stiction = None
+        if self.sticks:
+            angle, speed = self.friction_unit * vector[-15:-8], np.exp(vector[-8:-1])
+            stiction = Stiction(angle, STRIBECK_VELOCITY * speed)
+        return DelayedServo(parameters, float(vector[-1]) * DELAY_UNIT_S, stiction)
 
     def derivatives(self, vector: Array) -> dict[str, Array]:
         """What intervals are given of, by the vector: logarithms of what is positive by nature,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from skewmi.calibration.calibration_file import Constant, ServoCalibration
-from skewmi.calibration.servo_estimates import Estimate
+from skewmi.calibration.servo_estimates import KNOWN_FRICTION, Estimate
 from skewmi.calibration.servo_identification import ServoIdentification
 from skewmi.calibration.servo_model import DelayedServo
 from skewmi.robot_models import yumi
@@ -19,6 +19,8 @@ _UNITS = {
     "kd_over_kp": "s",
     "frictionloss_over_kp": "rad",
 }
+STICKS = 0.1
+"""More friction at rest, as a part of that in motion, from which a joint sticks."""
 LONG_MEMORY = 10.0
 """Autocorrelation time of a residual, in samples, from which the model seems to lack something."""
 
@@ -70,6 +72,7 @@ def servo_warnings(found: ServoIdentification) -> tuple[str, ...]:
         ]
     if not found.estimates["delay"].identified[0]:
         warnings.append("the delay is not identified")
+    warnings += _of_stiction(found.servo)
     for joint, memory, rms in zip(
         names, found.autocorrelation_time, found.residual_rms, strict=True
     ):
@@ -79,6 +82,21 @@ def servo_warnings(found: ServoIdentification) -> tuple[str, ...]:
                 "samples: the arm does something that the model lacks; intervals are widened for it"
             )
     return tuple(warnings)
+
+
+def _of_stiction(servo: DelayedServo) -> list[str]:
+    if servo.stiction is None:
+        return []
+    moving = servo.parameters.frictionloss
+    more = servo.parameters.kp * servo.stiction.angle
+    return [
+        f"{joint} sticks: at rest its friction is {rest:.2g} N m more than in motion, which is all "
+        f"that frictionloss tells; it falls at speeds of some {speed:.2g} rad/s"
+        for joint, part, rest, speed in zip(
+            yumi.joint_names("right"), moving, more, servo.stiction.velocity, strict=True
+        )
+        if rest > max(STICKS * part, KNOWN_FRICTION)
+    ]
 
 
 def constant_of(estimate: Estimate, factor: float = 1.0) -> Constant:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calibrations import DrawnRobot
+from calibrations import DrawnRobot, UnknownToModel
 
 from skewmi.calibration.excitation import Excitation
 from skewmi.calibration.excitation_choice import excitation_centre
@@ -114,7 +114,7 @@ def test_what_are_no_efforts_is_refused(recording: ServoRecording) -> None:
 @pytest.mark.slow
 def test_a_heavier_robot_s_constants_are_found_in_n_m() -> None:
     motion = Excitation(12.0, 1).motion(excitation_centre(), limits.profile("lab"))
-    recorded = ROBOT.record(motion, 1e-4, 0, mass_scale=1.15)
+    recorded = ROBOT.record(motion, 1e-4, 0, unknown=UnknownToModel(mass_scale=1.15))
     found = identify_servos(MODEL, [recorded], CONTACT_SERVO)
     fit = fit_efforts(MODEL, found.servo, [recorded])
     own = TRUTH.parameters

@@ -6,7 +6,7 @@ import functools
 
 import numpy as np
 import pytest
-from calibrations import DrawnRobot
+from calibrations import DrawnRobot, UnknownToModel
 
 from skewmi.calibration.excitation import Excitation
 from skewmi.calibration.excitation_choice import excitation_centre
@@ -38,7 +38,7 @@ def motion() -> JointTrajectory:
 def light_robot() -> tuple[DrawnRobot, ServoRecording]:
     """One whose arm weighs a ninth less than the model's, and how it moves."""
     drawn = DrawnRobot.draw(np.random.default_rng([0, 4]))
-    return drawn, drawn.record(motion(), 1e-4, 0, mass_scale=0.887)
+    return drawn, drawn.record(motion(), 1e-4, 0, unknown=UnknownToModel(mass_scale=0.887))
 
 
 @pytest.mark.slow

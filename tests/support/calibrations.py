@@ -22,6 +22,20 @@ from skewmi.trajectory import CYCLE_TICKS, GRID_S, Array, JointTrajectory
 
 
 @dataclass(frozen=True)
+class UnknownToModel:
+    """What a robot has and the servo model has not."""
+
+    mass_scale: float = 1.0
+    """Of the arm's masses and inertias."""
+    stiction_scale: float = 1.0
+    """Friction at rest, of that of a fast joint."""
+    stribeck_velocity: float = 0.1
+    """rad/s at which that has mostly gone."""
+    joint_offset: tuple[float, ...] = (0.0,) * 7
+    """Measured less true angles, rad."""
+
+
+@dataclass(frozen=True)
 class DrawnRobot:
     """A robot of the documented ranges: factors on stiffness and damping, friction, delay."""
 
@@ -49,8 +63,11 @@ class DrawnRobot:
             frictionloss=self.frictionloss,
         )
 
-    def variation(self, joint_noise: float, seed: int, mass_scale: float = 1.0) -> dict[str, Any]:
+    def variation(
+        self, joint_noise: float, seed: int, unknown: UnknownToModel | None = None
+    ) -> dict[str, Any]:
         """The content of a variation file; arguments as in `record`."""
+        unknown = UnknownToModel() if unknown is None else unknown
         return {
             "seed": seed,
             "servo": {
@@ -58,9 +75,11 @@ class DrawnRobot:
                 "kd_scale": self.kd_scale.tolist(),
                 "frictionloss": self.frictionloss.tolist(),
                 "delay_ms": self.delay_ms,
+                "stiction_scale": unknown.stiction_scale,
+                "stribeck_velocity": unknown.stribeck_velocity,
             },
-            "arm": {"mass_scale": mass_scale},
-            "sensors": {"joint_noise": joint_noise},
+            "arm": {"mass_scale": unknown.mass_scale},
+            "sensors": {"joint_noise": joint_noise, "joint_offset": list(unknown.joint_offset)},
         }
 
     def record(
@@ -68,8 +87,7 @@ class DrawnRobot:
         motion: JointTrajectory,
         joint_noise: float,
         seed: int,
-        *,
-        mass_scale: float = 1.0,
+        unknown: UnknownToModel | None = None,
     ) -> ServoRecording:
         """What it measures every 20 ms while it follows a motion.
 
@@ -77,9 +95,9 @@ class DrawnRobot:
             motion: Commanded.
             joint_noise: Standard deviation of a reading, rad.
             seed: Of the noise.
-            mass_scale: Of the arm's masses and inertias: what no servo model knows.
+            unknown: What else it has; nothing by default.
         """
-        variation = self.variation(joint_noise, seed, mass_scale)
+        variation = self.variation(joint_noise, seed, unknown)
         simulation = ArmSimulation(None, motion.q[0], json.dumps(variation))
         times, positions, efforts = [], [], []
         for tick in range(len(motion)):
