@@ -77,7 +77,8 @@ def test_an_interval_holds_both_minima_that_the_data_do_not_tell_apart(
 
     def residual(_: ServoFit, vectors: Array) -> Array:
         """Of arms that fit with half and with twice the stiffness alike, but for a difference."""
-        stiffness, damping, friction = vectors[:-1].reshape(3, 7, -1)
+        # Friction at rest is nothing that these arms have.
+        stiffness, damping, friction = vectors[:21].reshape(3, 7, -1)
         off = 1e-3 * (stiffness**2 - np.log(2.0) ** 2) * shapes[0]
         off += 1e-3 * damping * shapes[1] + 1e-3 * (friction - 1.0) * shapes[2]
         off += 1e-3 * (vectors[-1] - 2.0) * shapes[3]
@@ -113,7 +114,7 @@ def test_an_interval_holds_what_other_weights_of_a_wrong_model_find(
     shapes = rng.standard_normal((4, 600, 7, 1)).cumsum(axis=1) / 20.0
 
     def residual(_: ServoFit, vectors: Array) -> Array:
-        parts = np.concatenate((vectors[:-1].reshape(3, 7, -1), np.tile(vectors[-1], (1, 7, 1))))
+        parts = np.concatenate((vectors[:21].reshape(3, 7, -1), np.tile(vectors[-1], (1, 7, 1))))
         simulated: Array = residuals + 1e-3 * ((parts - 1.0)[:, None] * shapes).sum(axis=0)
         return simulated
 

@@ -58,7 +58,7 @@ def test_a_hint_of_the_speeds_changes_little_but_the_time(seed: int) -> None:
     hinted, _ = model.states([servo], motion(), start, speeds=v[0])
     # When a joint breaks away depends on the speeds of the rollout before.
     assert np.abs(hinted - q).max() < 2e-4
-    assert np.sqrt(((hinted - q) ** 2).mean(axis=(0, 1))).max() < 2e-5
+    assert np.sqrt(((hinted - q) ** 2).mean(axis=(0, 1))).max() < 5e-5
 
 
 def test_candidates_that_stick_and_others_do_not_meet() -> None:
