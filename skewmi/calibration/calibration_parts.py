@@ -102,11 +102,13 @@ class ServoCalibration:
     Attributes:
         kp: Stiffness, N m/rad.
         kd: Damping, N m s/rad.
-        frictionloss: Dry friction, N m.
+        frictionloss: Dry friction, N m; in motion, if joints stick.
         armature: Rotor inertia at the joint, kg m^2.
         kd_over_kp: How far an arm without feed-forward is behind its command, s.
         frictionloss_over_kp: How far friction holds a joint off its command, rad.
         delay_ms: From when a command is due until it is the servos' target, ms.
+        stiction: How much more friction joints have at rest, N m; None if none was found.
+        stribeck_velocity: At which that has mostly gone, rad/s; None with it.
 
     Where the motion did not tell stiffness and damping (of a wrist whose armature is unknown, say)
     their intervals are wide, and the ratios, which are what feed-forward needs, stay narrow.
@@ -119,10 +121,18 @@ class ServoCalibration:
     kd_over_kp: Constant
     frictionloss_over_kp: Constant
     delay_ms: Constant
+    stiction: Constant | None = None
+    stribeck_velocity: Constant | None = None
 
     def __post_init__(self) -> None:
-        for name, (size, least) in SERVO_CONSTANTS.items():
-            constant: Constant = getattr(self, name)
+        if (self.stiction is None) != (self.stribeck_velocity is None):
+            raise ConfigurationError(
+                "servo has one of stiction and stribeck_velocity; give both or neither"
+            )
+        for name, (size, least) in (SERVO_CONSTANTS | STICTION_CONSTANTS).items():
+            constant: Constant | None = getattr(self, name)
+            if constant is None:
+                continue
             if len(constant.value) != size or min(constant.low) < least:
                 raise ConfigurationError(
                     f"servo.{name} has {len(constant.value)} entries from {min(constant.low)}; "
@@ -131,12 +141,13 @@ class ServoCalibration:
 
     def as_mapping(self) -> dict[str, object]:
         found: dict[str, object] = {"joints": list(yumi.joint_names("right"))}
-        return found | {name: getattr(self, name).as_mapping() for name in SERVO_CONSTANTS}
+        constants = {name: getattr(self, name) for name in SERVO_CONSTANTS | STICTION_CONSTANTS}
+        return found | {n: c.as_mapping() for n, c in constants.items() if c is not None}
 
     @staticmethod
     def of_mapping(content: object) -> ServoCalibration:
         entries = mapping_of(content, "servo")
-        checked_keys(entries, "servo", ("joints", *SERVO_CONSTANTS))
+        checked_keys(entries, "servo", ("joints", *SERVO_CONSTANTS), tuple(STICTION_CONSTANTS))
         expected = list(yumi.joint_names("right"))
         if sequence_of(entries["joints"], "servo.joints") != expected:
             raise ConfigurationError(
@@ -145,7 +156,8 @@ class ServoCalibration:
         return ServoCalibration(
             **{
                 name: Constant.of_mapping(entries[name], f"servo.{name}", size, least)
-                for name, (size, least) in SERVO_CONSTANTS.items()
+                for name, (size, least) in (SERVO_CONSTANTS | STICTION_CONSTANTS).items()
+                if name in entries
             }
         )
 
@@ -160,6 +172,11 @@ SERVO_CONSTANTS: dict[str, tuple[int, float]] = {
     "delay_ms": (1, 0.0),
 }
 """Name -> entries, and the smallest that is allowed."""
+STICTION_CONSTANTS: dict[str, tuple[int, float]] = {
+    "stiction": (_JOINTS, 0.0),
+    "stribeck_velocity": (_JOINTS, 1e-6),
+}
+"""The same of those that are there if joints stick."""
 
 
 @dataclass(frozen=True)

@@ -107,6 +107,15 @@ def with_efforts(found: ServoIdentification, fit: EffortFit) -> ServoIdentificat
     low, high = np.maximum(value - half, 0.0), value + half
     known = is_known("frictionloss", value, low, high, fit.kp)
     estimates["frictionloss"] = Estimate(value, low, high, known)
+    if (stiction := estimates.get("stiction")) is not None:
+        # Positions tell it as an angle.
+        more = fit.kp / found.estimates["kp"].value
+        estimates["stiction"] = replace(
+            stiction,
+            value=more * stiction.value,
+            low=more * stiction.low,
+            high=more * stiction.high,
+        )
     return replace(found, estimates=estimates)
 
 

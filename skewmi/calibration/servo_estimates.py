@@ -54,16 +54,19 @@ def estimates(
         "delay": np.array([servo.delay_s]),
         "armature": own.armature,
     }
+    if servo.stiction is not None:
+        values["stiction"] = own.kp * servo.stiction.angle
+        values["stribeck_velocity"] = servo.stiction.velocity
     found = {}
     for name, derivative in unknowns.derivatives(vector).items():
         value = values[name]
         deviation = covariance.deviations(derivative)
         if name in ("kp", "kd", "armature"):
             deviation = np.hypot(deviation, inertia_uncertainty)
-        elif name == "frictionloss":
+        elif name in ("frictionloss", "stiction"):
             deviation = np.hypot(deviation, inertia_uncertainty * value)
         half = TWO_SIDED_95 * deviation
-        if name.startswith(("friction", "delay")):
+        if name.startswith(("friction", "delay", "stiction")):
             low, high = np.maximum(value - half, 0.0), value + half
         else:
             half = np.minimum(half, _WIDEST)

@@ -55,6 +55,7 @@ class ModelledArm:
 
     model: mujoco.MjModel
     qpos: NDArray[np.intp]
+    dofs: NDArray[np.intp]
     actuators: NDArray[np.intp]
 
 
@@ -203,7 +204,7 @@ class ServoModel:
 
     def arm(self, parameters: ServoParameters) -> ModelledArm:
         """The arm with given servos, for whoever steps it."""
-        return ModelledArm(self._with(parameters), self._qpos, self._actuators)
+        return ModelledArm(self._with(parameters), self._qpos, self._dof, self._actuators)
 
     def _with(self, parameters: ServoParameters) -> mujoco.MjModel:
         model = copy.copy(self._model)

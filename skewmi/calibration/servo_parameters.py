@@ -126,4 +126,8 @@ class ServoUnknowns:
         }
         if self.free_armature:
             found["armature"] = one[21:28]
+        if self.sticks:
+            more, unit = vector[-15:-8, None], self.friction_unit[:, None]
+            found["stiction"] = own.kp[:, None] * unit * (more * kp + one[-15:-8])
+            found["stribeck_velocity"] = one[-8:-1]
         return found

@@ -54,6 +54,11 @@ class ServoPrediction:
             # As `servo_model.late_targets`: between two commands linear.
             late = (1.0 - self._part) * self._coming[1] + self._part * self._coming[0]
             self._data.ctrl[self._arm.actuators] = late
+            if (stiction := self.servo.stiction) is not None:
+                speed = self._data.qvel[self._arm.dofs]
+                own = self.servo.parameters
+                friction = own.frictionloss + own.kp * stiction.left(speed)
+                self._arm.model.dof_frictionloss[self._arm.dofs] = friction
             mujoco.mj_step(self._arm.model, self._data)
         q: Array = self._data.qpos[self._arm.qpos].copy()
         return q

@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from skewmi.calibration.calibration_file import Constant, ServoCalibration
+from skewmi.calibration.calibration_parts import STICTION_CONSTANTS
 from skewmi.calibration.servo_estimates import KNOWN_FRICTION, Estimate
 from skewmi.calibration.servo_identification import ServoIdentification
 from skewmi.calibration.servo_model import DelayedServo
+from skewmi.calibration.stiction import Stiction
 from skewmi.robot_models import yumi
 from skewmi.robot_models.servo import ServoParameters
 
@@ -34,6 +36,8 @@ def servo_section(found: ServoIdentification) -> ServoCalibration:
         constants["armature"] = Constant(values, values, values, (True,) * 7)
     else:
         constants["armature"] = constant_of(armature)
+    if found.servo.stiction is not None:
+        constants |= {name: constant_of(found.estimates[name]) for name in STICTION_CONSTANTS}
     return ServoCalibration(**constants, delay_ms=constant_of(found.estimates["delay"], 1e3))
 
 
@@ -44,6 +48,10 @@ def servo_start(section: ServoCalibration, nominal: ServoParameters) -> DelayedS
         section: Of a calibration file.
         nominal: What no calibration tells.
     """
+    stiction = None
+    if section.stiction is not None and section.stribeck_velocity is not None:
+        more, kp = np.array(section.stiction.value), np.array(section.kp.value)
+        stiction = Stiction(more / kp, np.array(section.stribeck_velocity.value))
     return DelayedServo(
         nominal.with_changes(
             **{
@@ -52,6 +60,7 @@ def servo_start(section: ServoCalibration, nominal: ServoParameters) -> DelayedS
             }
         ),
         section.delay_ms.value[0] / 1e3,
+        stiction,
     )
 
 

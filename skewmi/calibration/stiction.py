@@ -34,6 +34,11 @@ class Stiction:
         more = parameters.kp * self.angle
         return parameters.with_changes(frictionloss=parameters.frictionloss + more)
 
+    def left(self, v: Array) -> Array:
+        """What there is in motion of what there is more at rest, by kp. (..., 7) -> rad."""
+        left: Array = self.angle * np.exp(-np.square(v / self.velocity))
+        return left
+
     def relief(self, v: Array) -> Array:
         """How far ahead targets of `at_rest` are in motion. rad/s, (n, 7) -> rad, (n, 7)."""
         gone: Array = -np.expm1(-np.square(v / self.velocity))

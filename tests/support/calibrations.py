@@ -141,7 +141,9 @@ def full_calibration() -> Calibration:
     return Calibration(
         created="2026-01-02T03:04:05Z",
         version="1.2.3",
-        servo=ServoCalibration(*(constant(7) for _ in range(6)), delay_ms=constant(1)),
+        servo=ServoCalibration(
+            *(constant(7) for _ in range(6)), constant(1), constant(7), constant(7)
+        ),
         scene=SceneCalibration(
             *(constant(1) for _ in range(4)),
             covariance=((1e-8, 2e-9, 0.0), (2e-9, 3e-8, 1e-7), (0.0, 1e-7, 4e-4)),
