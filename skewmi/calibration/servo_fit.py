@@ -15,7 +15,7 @@ import numpy as np
 from mujoco import minimize
 from numpy.typing import NDArray
 
-from skewmi.calibration.servo_model import DelayedServo, ServoModel
+from skewmi.calibration.servo_model import ServoModel
 from skewmi.calibration.servo_parameters import ServoUnknowns
 from skewmi.calibration.servo_recording import ServoRecording
 from skewmi.calibration.uncertainty import FitCovariance, autocorrelation_time, fit_covariance
@@ -55,28 +55,18 @@ class ServoFit:
         self.unknowns = unknowns
         self._model, self._recordings = model, tuple(recordings)
         self._rows = [settled(recording) for recording in recordings]
-        self._speeds: list[Array | None] = [None] * len(self._recordings)
 
     def residual(self, vectors: Array) -> Array:
         """Simulated less measured positions, rad. (p, k) -> (m, 7, k)."""
         servos = [self.unknowns.servo(column) for column in vectors.T]
         parts = [
-            (self._model.positions(servos, recording, speeds) - recording.positions)[:, rows]
-            for recording, rows, speeds in zip(
-                self._recordings, self._rows, self._speeds, strict=True
-            )
+            (self._model.positions(servos, recording) - recording.positions)[:, rows]
+            for recording, rows in zip(self._recordings, self._rows, strict=True)
         ]
         # A reading may be off by a constant, which no servo accounts for.
         parts = [part - part.mean(axis=1, keepdims=True) for part in parts]
         residual: Array = np.concatenate(parts, axis=1).transpose(1, 2, 0)
         return residual
-
-    def hint(self, servo: DelayedServo) -> None:
-        """Take speeds from a servo like those to be fitted: half the time if joints stick."""
-        self._speeds = [
-            self._model.states([servo], recording.commands, recording.start)[1][0]
-            for recording in self._recordings
-        ]
 
     def squares(self, vectors: Array) -> Array:
         """Mean squares of the joints' residuals, rad^2. (p, k) -> (7, k)."""

@@ -15,6 +15,7 @@ from math import isfinite
 import mujoco
 import numpy as np
 from mujoco import rollout
+from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from skewmi.calibration.servo_recording import ServoRecording
@@ -27,9 +28,6 @@ from skewmi.trajectory import GRID_S, JointTrajectory
 
 LONGEST_DELAY_S = 0.2
 """Largest delay that can be simulated, s."""
-STICTION_PASSES, STICTION_PASSES_AFTER_HINT = 3, 2
-"""Rollouts of joints that stick, each with the speeds of the one before; without a hint there is
-one more before them."""
 
 
 @dataclass(frozen=True)
@@ -88,18 +86,12 @@ class ServoModel:
         self._threads = threads
         self._data = [mujoco.MjData(self._model) for _ in range(threads)]
 
-    def positions(
-        self,
-        candidates: Sequence[DelayedServo],
-        recording: ServoRecording,
-        speeds: Array | None = None,
-    ) -> Array:
+    def positions(self, candidates: Sequence[DelayedServo], recording: ServoRecording) -> Array:
         """Where each candidate is when positions were measured.
 
         Args:
             candidates: c of them.
             recording: Gives commands, start and times.
-            speeds: See `states`.
 
         Returns:
             rad. Shape (c, m, 7).
@@ -107,15 +99,11 @@ class ServoModel:
         Raises:
             SimulationError: A candidate's states are not finite.
         """
-        q, v = self.states(candidates, recording.commands, recording.start, speeds)
+        q, v = self.states(candidates, recording.commands, recording.start)
         return between_states(q, v, recording.times_s)
 
     def states(
-        self,
-        candidates: Sequence[DelayedServo],
-        commands: JointTrajectory,
-        start: Array,
-        speeds: Array | None = None,
+        self, candidates: Sequence[DelayedServo], commands: JointTrajectory, start: Array
     ) -> tuple[Array, Array]:
         """Positions (rad) and velocities (rad/s) at every command's time.
 
@@ -125,8 +113,6 @@ class ServoModel:
             candidates: c of them.
             commands: n samples; the arm rests before the first.
             start: Where it rests, rad. Shape (7,).
-            speeds: Of a candidate like these at every command's time, rad/s, shape (n, 7): saves
-                the first rollout of candidates that stick.
 
         Returns:
             Each shape (c, n, 7).
@@ -136,21 +122,51 @@ class ServoModel:
         """
         target = commands.q + self.velocity_lead * commands.v
         late = np.array([late_targets(target, candidate.delay_s) for candidate in candidates])
-        stictions = [c.stiction for c in candidates if c.stiction is not None]
-        if speeds is None or len(stictions) < len(candidates):
-            q, v = self.driven([candidate.parameters for candidate in candidates], late, start)
-        else:
-            v = np.broadcast_to(speeds, late.shape).copy()
-            q = v.copy()
-        if stictions:
-            which = [k for k, candidate in enumerate(candidates) if candidate.stiction is not None]
-            resting = [
-                stiction.at_rest(candidates[k].parameters)
-                for k, stiction in zip(which, stictions, strict=True)
-            ]
-            for _ in range(STICTION_PASSES if speeds is None else STICTION_PASSES_AFTER_HINT):
-                relief = [s.relief(v[k]) for k, s in zip(which, stictions, strict=True)]
-                q[which], v[which] = self.driven(resting, late[which] + relief, start)
+        sticks = np.array([candidate.stiction is not None for candidate in candidates])
+        q = np.empty((len(candidates), len(commands), 7))
+        v = np.empty_like(q)
+        for which, simulate in ((~sticks, self._plain), (sticks, self._sticking)):
+            if which.any():
+                some = [candidates[int(k)] for k in np.flatnonzero(which)]
+                q[which], v[which] = simulate(some, late[which], start)
+        return q, v
+
+    def _plain(
+        self, candidates: Sequence[DelayedServo], targets: Array, start: Array
+    ) -> tuple[Array, Array]:
+        return self.driven([candidate.parameters for candidate in candidates], targets, start)
+
+    def _sticking(
+        self, candidates: Sequence[DelayedServo], targets: Array, start: Array
+    ) -> tuple[Array, Array]:
+        """As `driven`, of joints whose friction is set anew before every step."""
+        batch = Batch(self._model, len(candidates), self._threads)
+        servos = [candidate.parameters for candidate in candidates]
+        kp, kd, friction, limit, armature = (
+            np.array([getattr(servo, name) for servo in servos])
+            for name in ("kp", "kd", "frictionloss", "force_limit", "armature")
+        )
+        actuators, dofs = self._actuators, self._dof
+        batch.expand("actuator_gainprm")[:, actuators, 0] = kp
+        bias = batch.expand("actuator_biasprm")
+        bias[:, actuators, 1], bias[:, actuators, 2] = -kp, -kd
+        batch.expand("actuator_forcerange")[:, actuators] = np.stack((-limit, limit), axis=-1)
+        batch.expand("dof_armature")[:, dofs] = armature
+        batch.set_const()
+        batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+        qpos, qvel, ctrl = (batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
+        qpos[:, self._qpos] = start
+        loss = batch.expand("dof_frictionloss")
+        more = kp * np.array([c.stiction.angle for c in candidates if c.stiction is not None])
+        speed = np.array([c.stiction.velocity for c in candidates if c.stiction is not None])
+        q, v = np.empty((2, *targets.shape))
+        for step in range(targets.shape[1]):
+            q[:, step], v[:, step] = qpos[:, self._qpos], qvel[:, dofs]
+            loss[:, dofs] = friction + more * np.exp(-np.square(v[:, step] / speed))
+            ctrl[:, actuators] = targets[:, step]
+            batch.step()
+        if not (np.isfinite(q).all() and np.isfinite(v).all()):
+            raise SimulationError("the simulation of a servo candidate left the finite numbers")
         return q, v
 
     def driven(

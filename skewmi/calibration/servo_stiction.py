@@ -68,15 +68,11 @@ def fit_stiction(
     unknowns = replace(plain, sticks=True)
     begin = plain.servo(vector)
     part = ServoFit(model, (beginning(recordings[0], LOOK_S),), unknowns)
-    part.hint(begin)
     found, squares = _descended(part, _starts(unknowns, unknowns.vector(begin)))
     order = log_squares(squares).sum(axis=0).argsort()[:2]
     whole = ServoFit(model, recordings, unknowns)
-    whole.hint(begin)
     found, squares = whole.joints_fitted(found[:, order], ITERATIONS)
     best = found[:, log_squares(squares).sum(axis=0).argmin()]
-    # Where a joint sticks, when it breaks away depends on the friction at rest.
-    whole.hint(unknowns.servo(best))
     best = whole.descended(best, LAST_ITERATIONS)
     loss = losses(whole.squares(best[:, None]), residual).sum()
     return StickingFit(whole, best) if loss < -CLEARLY_BETTER else None

@@ -1,4 +1,4 @@
-"""Rollouts with constant friction move as joints do whose friction falls with speed."""
+"""The servo model moves as joints do whose friction falls with speed."""
 
 from __future__ import annotations
 
@@ -35,7 +35,9 @@ def sticking(drawn: DrawnRobot, scale: float, speed: float) -> DelayedServo:
     return DelayedServo(own, drawn.delay_ms / 1e3, Stiction(angle, np.full(7, speed)))
 
 
-@pytest.mark.parametrize(("seed", "scale", "speed"), [(0, 1.2, 0.03), (1, 1.5, 0.1), (2, 1.8, 0.2)])
+@pytest.mark.parametrize(
+    ("seed", "scale", "speed"), [(0, 1.9, 0.015), (1, 1.5, 0.1), (2, 1.8, 0.2)]
+)
 def test_the_model_moves_as_a_simulation_that_sets_friction_tick_by_tick(
     seed: int, scale: float, speed: float
 ) -> None:
@@ -46,19 +48,7 @@ def test_the_model_moves_as_a_simulation_that_sets_friction_tick_by_tick(
     without = position_rms(model, plain, recording)
     told = position_rms(model, sticking(drawn, scale, speed), recording)
     assert without.max() > 3e-4
-    assert (told < np.maximum(without / 3.0, 3e-5)).all(), (told, without)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_a_hint_of_the_speeds_changes_little_but_the_time(seed: int) -> None:
-    drawn, model = robot(seed), ServoModel(LEAD)
-    servo = sticking(drawn, 1.3, 0.1)
-    start = motion().q[0]
-    q, v = model.states([servo], motion(), start)
-    hinted, _ = model.states([servo], motion(), start, speeds=v[0])
-    # When a joint breaks away depends on the speeds of the rollout before.
-    assert np.abs(hinted - q).max() < 2e-4
-    assert np.sqrt(((hinted - q) ** 2).mean(axis=(0, 1))).max() < 5e-5
+    assert (told < 5e-6).all(), (told, without)
 
 
 def test_candidates_that_stick_and_others_do_not_meet() -> None:
@@ -77,6 +67,7 @@ def test_nothing_more_at_rest_is_nothing() -> None:
     start = motion().q[0]
     servo = sticking(drawn, 1.0, 0.1)
     plain = DelayedServo(servo.parameters, servo.delay_s)
-    np.testing.assert_array_equal(
-        model.states([servo], motion(), start)[0], model.states([plain], motion(), start)[0]
-    )
+    for found, expected in zip(
+        model.states([servo], motion(), start), model.states([plain], motion(), start), strict=True
+    ):
+        np.testing.assert_allclose(found, expected, atol=1e-9)
