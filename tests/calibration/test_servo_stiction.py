@@ -106,10 +106,11 @@ def test_joints_that_stick_are_identified_with_what_else_they_have(mass_scale: f
     assert found.servo.stiction is not None
     own = robot().parameters(CONTACT_SERVO)
     more = found.servo.parameters.kp * found.servo.stiction.angle
-    # What a wrong mass leaves is in the friction of the joints that carry it.
-    off = 0.2 if mass_scale == 1.0 else 0.8
     strong = own.frictionloss > 0.3
-    assert strong.sum() > 2
-    np.testing.assert_allclose(more[strong], 0.5 * own.frictionloss[strong], rtol=off)
+    if mass_scale != 1.0:
+        # What a wrong mass leaves is in the friction of the joints that carry it.
+        strong[:4] = False
+    assert strong.sum() > 1
+    np.testing.assert_allclose(more[strong], 0.5 * own.frictionloss[strong], rtol=0.2)
     told = [warning for warning in servo_warnings(found) if " sticks: " in warning]
     assert len(told) >= strong.sum()
