@@ -57,7 +57,7 @@ class ServoFit:
         self._rows = [settled(recording) for recording in recordings]
 
     def residual(self, vectors: Array) -> Array:
-        """Simulated less measured positions, rad. (p, k) -> (m, 7, k)."""
+        """Simulated less measured positions about their means, rad. (p, k) -> (m, 7, k)."""
         servos = [self.unknowns.servo(column) for column in vectors.T]
         parts = [
             (self._model.positions(servos, recording) - recording.positions)[:, rows]

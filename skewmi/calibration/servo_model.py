@@ -157,12 +157,12 @@ class ServoModel:
         qpos, qvel, ctrl = (batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
         qpos[:, self._qpos] = start
         loss = batch.expand("dof_frictionloss")
-        more = kp * np.array([c.stiction.angle for c in candidates if c.stiction is not None])
-        speed = np.array([c.stiction.velocity for c in candidates if c.stiction is not None])
+        own = [candidate.stiction for candidate in candidates if candidate.stiction is not None]
+        every = Stiction(np.array([s.angle for s in own]), np.array([s.velocity for s in own]))
         q, v = np.empty((2, *targets.shape))
         for step in range(targets.shape[1]):
             q[:, step], v[:, step] = qpos[:, self._qpos], qvel[:, dofs]
-            loss[:, dofs] = friction + more * np.exp(-np.square(v[:, step] / speed))
+            loss[:, dofs] = friction + kp * every.left(v[:, step])
             ctrl[:, actuators] = targets[:, step]
             batch.step()
         if not (np.isfinite(q).all() and np.isfinite(v).all()):

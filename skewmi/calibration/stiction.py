@@ -18,8 +18,9 @@ class Stiction:
     """What seven joints have more of at rest.
 
     Attributes:
-        angle: F_m / kp, rad: by so much more a joint at rest is held off its target. Shape (7,).
-        velocity: v_s, rad/s. Shape (7,).
+        angle: F_m / kp, rad: by so much more a joint at rest is held off its target. Shape (7,),
+            or (n, 7) for n arms.
+        velocity: v_s, rad/s. Of the same shape.
     """
 
     angle: Array

@@ -23,8 +23,8 @@ DEFAULT = "improved"
 of every number."""
 
 QUICKEST = "improved-return-then-explore"
-"""Preset of those who name nothing, where a task has it: it was measured against `improved` in
-every task of this package. PPO, which must not learn from random actions, cannot take it."""
+"""Preset of those who name nothing, where a task has it; docs/return-then-explore.md has its
+results. PPO, which must not learn from random actions, cannot take it."""
 
 PRESETS: dict[tuple[str, str], TrainConfig] = {
     (config.task, config.preset): config
