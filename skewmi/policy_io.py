@@ -2,9 +2,7 @@
 
 `sim` and `deploy` both call `assemble_observation` (and use one `CommandIntegrator`), so that a
 policy meets on the robot exactly what it met in training. The description travels inside every
-checkpoint and ONNX file; its hash is compared before anything runs.
-
-This module needs numpy only.
+checkpoint and ONNX file; its hash is compared before anything runs. Needs numpy only.
 """
 
 from __future__ import annotations
@@ -82,11 +80,10 @@ class Ball:
 class Workspace:
     """The box that the commanded hand position may not leave, and how the hand is held.
 
-    All vectors are in metres in the task's world frame, whose axes are parallel to the robot
-    base frame; `base_position` is the origin of the robot base frame in it. The hand frame is
-    the flange (tool0), z out of the flange. `hand_quaternion_wxyz` is its constant orientation
-    in world. Following errors and blockages are in full actions: each axis of a distance divided
-    by its action scale. What they mean is told by `command_integrator`.
+    All vectors are in metres in the task's world frame, that of its box; `base_position` is the
+    origin of the robot base frame in it. The hand frame is the flange (tool0), z out of the flange.
+    `hand_quaternion_wxyz` is its constant orientation in world. Following errors and blockages are
+    in full actions: each axis of a distance divided by its action scale; see `command_integrator`.
     """
 
     low: tuple[float, float, float]
@@ -104,6 +101,8 @@ class Workspace:
     """Joint angles, chain order 1,2,7,3,4,5,6, rad, that put the hand at `start`."""
     gripper_opening: float
     """Travel of each finger from closed while the action has no gripper component, m."""
+    base_yaw: float = 0.0
+    """Turn of the robot base about the vertical in the task's frame, rad; see `base_frame`."""
 
 
 WORKSPACE_KEYS = {
@@ -190,6 +189,7 @@ class PolicyLayout:
             content["workspace"] = {
                 WORKSPACE_KEYS.get(name, name): value
                 for name, value in content["workspace"].items()
+                if name != "base_yaw" or value != 0.0  # no part of what older versions hashed
             }
         return json.dumps(content, sort_keys=True, separators=(",", ":"))
 
@@ -228,18 +228,14 @@ class PolicyLayout:
 
 
 def _workspace(content: dict[str, Any]) -> Workspace:
-    left = dict(content)
+    left = {"base_yaw": 0.0, **content}
     values = {
-        name: _as_tuple(left.pop(WORKSPACE_KEYS.get(name, name)))
-        for name in (field.name for field in fields(Workspace))
+        name: tuple(value) if isinstance(value := left.pop(key), list) else value
+        for name, key in ((f.name, WORKSPACE_KEYS.get(f.name, f.name)) for f in fields(Workspace))
     }
     if left:
         raise ValueError(f"unknown fields of the workspace: {sorted(left)}")
     return Workspace(**values)
-
-
-def _as_tuple(value: Any) -> Any:
-    return tuple(value) if isinstance(value, list) else value
 
 
 def require_same_layout(expected: PolicyLayout, given: PolicyLayout, what: str) -> None:

@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 
 from skewmi.errors import KinematicsError
 from skewmi.robot_models import mjcf, yumi
+from skewmi.robot_models.base_frame import NOMINAL_BASE, BaseFrame
 from skewmi.robot_models.frames import BASE_IN_WORLD, HAND_DOWN, world_to_base
 from skewmi.robot_models.kinematics import ArmKinematics
 from skewmi.robot_models.yumi import Array
@@ -141,26 +142,35 @@ def smallest_singular_value(arm: ArmKinematics, q: Array) -> Array:
     return np.asarray(np.linalg.svd(arm.jacobian(q) * scale, compute_uv=False)[..., -1])
 
 
-def rate(q: Array, *, room: HandRoom = TABLE_ROOM, steps: int = 25) -> Rating:
+def rate(
+    q: Array,
+    *,
+    room: HandRoom = TABLE_ROOM,
+    steps: int = 25,
+    base: BaseFrame = NOMINAL_BASE,
+    rotation: Array = HAND_DOWN,
+) -> Rating:
     """Rate start configurations by driving each to the corners of the box.
 
     Args:
         q: Configurations with the hand at the start pose, rad. Shape (n, 7).
         room: Start and box.
         steps: Steps of each straight line.
+        base: Where the robot is in the frame of start and box.
+        rotation: Of the hand, to the robot base. Shape (3, 3).
     """
     arm, clearance = ArmKinematics("right"), Clearance()
-    start = world_to_base(room.start)
+    start = base.to_base(room.start)
     n = len(q)
     reached = np.ones(n, dtype=np.bool_)
     margin, singular = joint_margin(q), smallest_singular_value(arm, q)
     visited = [q]
     for corner_w in itertools.product(*zip(room.low, room.high, strict=True)):
-        corner = world_to_base(corner_w)
+        corner = base.to_base(corner_w)
         present = q
         for fraction in np.linspace(0.0, 1.0, steps + 1)[1:]:
             target = np.broadcast_to(start + fraction * (corner - start), (n, 3))
-            result = arm.inverse(target, HAND_DOWN, present, posture=q)
+            result = arm.inverse(target, rotation, present, posture=q)
             present = result.q
             reached &= (result.position_error < 1e-5) & (result.rotation_error < np.radians(1e-3))
             margin = np.minimum(margin, joint_margin(present))
