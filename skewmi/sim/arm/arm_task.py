@@ -63,6 +63,8 @@ class ArmTask:
             world's; see `skewmi.sim.arm.table`.
         success: The state's region that is rewarded, in fields of `joints` above all; that the
             hand is in its box is added.
+        box_body: Body that stands on the table, in the world and not turned, with everything that
+            moves with it: what a calibration finds the place of. Empty if it finds none.
         targets: Regions by name that may be chosen in its place; one of them is `success`.
         gripper_opening: Finger travel while the policy does not move the fingers, m.
         success_hold_steps: So many steps in a row must end in the region.
@@ -81,6 +83,7 @@ class ArmTask:
     joints: tuple[SensedJoint, ...]
     add_parts: Callable[[mujoco.MjSpec], None]
     success: tuple[Ball, ...]
+    box_body: str = ""
     gripper_opening: float = 0.0
     success_hold_steps: int = 10
     episode_steps: int = 200

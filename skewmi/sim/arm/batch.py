@@ -74,8 +74,9 @@ class ArmBatch:
                 their own: the start positions are those of the nominal model. Reward and success
                 are of the true state; the observation is what its sensors say.
             calibration: What is known of the robot, whatever the variation says that it is: a
-                calibration, its file, or the JSON of one. The servos get feed-forward from it, and
-                hinges of the scene are read from their zero.
+                calibration, its file, or the JSON of one. The servos get feed-forward from it,
+                hinges of the scene are read from their zero, and the policy works in the frame of
+                the box where it says that it stands.
 
         Raises:
             ConfigurationError: A number is out of its range, or the variation or the calibration
@@ -88,15 +89,18 @@ class ArmBatch:
         )
         self.num_envs = checked_num_envs(num_envs)
         self.variation = task.variations.resolve(variation)
-        self.scene = ArmScene(task)
+        known = Known.of(calibration)
+        self.scene = ArmScene(task, None if known is None else known.displacement)
+        # The policy's layout stays as it is: what it sees and does is in its box's frame.
+        self._placed = self.scene.placed(self.layout)
         self._physics = ArmPhysics(
             self.scene,
-            self.layout,
+            self._placed,
             self.num_envs,
             checked_num_threads(num_threads),
             self.variation,
             seed,
-            Known.of(calibration),
+            known,
         )
         self.batch, self.servo_targets = self._physics.batch, self._physics.servo_targets
         self._randomization = Randomization() if randomization is None else randomization
@@ -114,7 +118,7 @@ class ArmBatch:
             if self._physics.varied is not None:
                 self._physics.varied.seed(seed)
         starts = self._randomization.sample_starts(self.layout, self.num_envs, self._rng)
-        self._physics.start(self.layout, starts)
+        self._physics.start(self._placed, starts)
         self._step_index = 0
         return self._observe()[0]
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from skewmi.box_frame import box_displacement
 from skewmi.calibration.calibration_file import Calibration, read_calibration
 from skewmi.calibration.calibration_use import (
     LARGEST_LID_BIAS,
@@ -18,6 +19,7 @@ from skewmi.calibration.calibration_use import (
 )
 from skewmi.errors import ConfigurationError
 from skewmi.policy_io import Array, Workspace
+from skewmi.robot_models.base_frame import BaseFrame
 from skewmi.robot_models.feed_forward import FeedForward
 from skewmi.sim.arm.arm_task import SensedJoint
 
@@ -68,9 +70,22 @@ class Known:
         constants = servo_constants(self.calibration)
         return None if constants is None else FeedForward(constants, None)
 
+    @property
+    def displacement(self) -> tuple[float, float, float] | None:
+        """Of the box, see `box_frame.box_displacement`."""
+        return box_displacement(self.calibration)
+
     def stiffness(self, workspace: Workspace) -> Array | None:
-        """Of the hand relative to training's; None if the servos were not calibrated."""
-        return known_stiffness(self.calibration, np.array(workspace.start_configuration))
+        """Of the hand relative to training's, along the axes of a placed workspace.
+
+        None if the servos were not calibrated.
+        """
+        matrix = known_stiffness(self.calibration, np.array(workspace.start_configuration))
+        base = BaseFrame.of(workspace)
+        if matrix is None or base.yaw == 0.0:
+            return matrix
+        turned: Array = base.rotation @ matrix @ base.rotation.T
+        return turned
 
     def zero(self, joints: tuple[SensedJoint, ...], errors: Array | None) -> Array | None:
         """What to take off the readings of the scene's joints in an episode.

@@ -6,12 +6,15 @@ Used by the batched environment and by the simulated robot server alike.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 
+from skewmi.box_frame import box_pose, placed
 from skewmi.policy_io import Array, PolicyLayout, Workspace
 from skewmi.robot_models import frames, kinematics, mjcf, yumi
+from skewmi.robot_models.base_frame import base_of
 from skewmi.sim.arm import table
 from skewmi.sim.arm.arm_task import ArmTask
 from skewmi.sim.arm.definition import SIM_DT
@@ -74,9 +77,13 @@ class ArmScene:
 
     Args:
         task: What stands before the arm.
+        displacement: Where a calibration has its box, x (m), y (m) and yaw_deg; None if it was not
+            looked for. The models stay as they are: what is known is not what is.
 
     Attributes:
         task: As given.
+        box: Where the box is known to stand; None if it was not looked for.
+        base: The robot base in the known box's frame: that of all hand poses here, "world".
         model: The compiled model with everything to be seen; time step 4 ms.
         physics_model: The same without geoms that touch nothing. Its states are bit for bit
             those of `model`, a fifth faster: MuJoCo places every geom at every step.
@@ -91,7 +98,9 @@ class ArmScene:
         hand_force, arm_force: Slices of `sensordata`, see the sensors' names.
     """
 
-    def __init__(self, task: ArmTask) -> None:
+    def __init__(
+        self, task: ArmTask, displacement: tuple[float, float, float] | None = None
+    ) -> None:
         self.task = task
         spec = build_spec(task)
         self.model: mujoco.MjModel = spec.compile()
@@ -99,6 +108,8 @@ class ArmScene:
             if geom.contype == 0 and geom.conaffinity == 0:
                 spec.delete(geom)
         self.physics_model: mujoco.MjModel = spec.compile()
+        self.box = box_pose(displacement, box_origin(task, self.model), task.name)
+        self.base = base_of(self.box)
         self.kinematics = kinematics.ArmKinematics("right")
         joints = yumi.joint_names("right")
         fingers = yumi.finger_names("right")
@@ -137,7 +148,15 @@ class ArmScene:
     def arm_pose(self, arm_q: Array) -> tuple[Array, Array]:
         """`hand_pose` of the arm joints alone, chain order, rad. Shape (..., 7)."""
         position, rotation = self.kinematics.forward(arm_q)
-        return position + frames.BASE_IN_WORLD, rotation
+        return self.base.to_task(position), self.base.rotations_to_task(rotation)
+
+    def placed(self, layout: PolicyLayout) -> PolicyLayout:
+        """A layout with the robot where it is in the known box's frame; its hash is another.
+
+        Raises:
+            ConfigurationError: The task cannot be done there.
+        """
+        return replace(layout, workspace=placed(workspace_of(layout), self.box))
 
     def observation_values(self, qpos: Array, hand_position_w: Array) -> dict[str, Array]:
         """Every observation field but time, for `assemble_observation`.
@@ -207,8 +226,8 @@ class ArmScene:
         unchecked_iterations: int | None = None,
     ) -> kinematics.InverseResult:
         return self.kinematics.inverse(
-            hand_position_w - frames.BASE_IN_WORLD,
-            hand_rotation(workspace),
+            self.base.to_base(hand_position_w),
+            self.base.rotations_to_base(hand_rotation(workspace)),
             q_near,
             posture=np.array(workspace.start_configuration),
             unchecked_iterations=unchecked_iterations,
@@ -252,7 +271,7 @@ class ArmScene:
             layout: Of the task; the default layout if not given.
             randomization: What varies; the default if not given.
         """
-        layout = self.task.layout() if layout is None else layout
+        layout = self.placed(self.task.layout()) if layout is None else layout
         randomization = Randomization() if randomization is None else randomization
         starts = np.array([workspace_of(layout).start])
         if rng is not None:
@@ -268,6 +287,14 @@ class ArmScene:
         hand_position_w, _ = self.hand_pose(data.qpos)
         values = self.observation_values(data.qpos, hand_position_w)
         return {name: float(value) for name, value in values.items()}
+
+
+def box_origin(task: ArmTask, model: mujoco.MjModel) -> tuple[float, float] | None:
+    """Middle of a task's box in the nominal model, m; None if the task has none."""
+    if not task.box_body:
+        return None
+    x, y, _ = model.body(task.box_body).pos.tolist()
+    return x, y
 
 
 def workspace_of(layout: PolicyLayout) -> Workspace:

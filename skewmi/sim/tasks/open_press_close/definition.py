@@ -105,6 +105,7 @@ ARM = ArmTask(
             (PRESSED_MAX - PRESSED_MIN) / 2,
         ),
     ),
+    box_body="box",
     gripper_opening=GRIPPER_OPENING,
     possible=outside_shut_lid,
     variations=Variations(VARIATION_KEYS, ("skewmi.sim.tasks.open_press_close",)),
