@@ -113,7 +113,8 @@ def _require_room(
     for what, value, least, unit in _figures(found):
         if not value >= least:
             raise _refusal(
-                box, f"{what} would be {value:.3g}{unit} at worst, at least {least:.3g}{unit} is allowed"
+                box,
+                f"{what} would be {value:.3g}{unit} at worst, at least {least:.3g}{unit} is allowed",
             )
 
 

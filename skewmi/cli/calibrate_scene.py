@@ -162,6 +162,11 @@ def _touched(
     def plan(described: RobotDescription) -> list[PlannedTouch]:
         if before is not None:
             require_robot(before, described.backend, described.egm.get("speed_share"))
+        if described.box is not None:
+            raise ConfigurationError(
+                f"the robot server knows where the box stands ({described.box.words}); to find it "
+                "again, start the robot server with a calibration that has no section scene"
+            )
         tell("planning the touches")
         limits = admitted(joint_limits.profile(options.limits), described)
         planner = TouchPlanner(described, limits, prediction.servo.parameters, tell)

@@ -7,9 +7,11 @@ from typing import Annotated, Literal
 
 import tyro
 
+from skewmi.box_frame import box_displacement
+from skewmi.calibration.calibration_file import Calibration
 from skewmi.deploy.robot.backends.egm.options import EgmOptions, TaskFacts
 from skewmi.deploy.robot.backends.egm.program import ProgramSettings
-from skewmi.deploy.robot.backends.mujoco.scene_geometry import scene_geometry
+from skewmi.deploy.robot.backends.mujoco.scene_geometry import Standing, scene_geometry
 from skewmi.deploy.robot.egm_emulator.emulator import REAL_RATE_HZ, EmulatorOptions
 from skewmi.deploy.robot.egm_emulator.wires import NetworkOptions
 from skewmi.deploy.robot.gripper.base import Gripper
@@ -136,21 +138,27 @@ BareEgmFlags = Annotated[EgmFlags, tyro.conf.arg(name="")]
 """Without a prefix of their own."""
 
 
-def task_facts(task: str) -> TaskFacts:
+def task_facts(task: str, calibration: Calibration | None = None) -> TaskFacts:
     """What a robot has to know of a task.
+
+    Args:
+        task: Its name.
+        calibration: Says where its box stands, if that was found.
 
     Raises:
         NotFoundError: No such task.
-        ConfigurationError: It is not one for a robot.
+        ConfigurationError: It is not one for a robot, or cannot be done where the box stands.
     """
     spec = tasks.find(task)
     if spec.arm is None:
         raise ConfigurationError(f"task {task!r} has no robot in it")
-    scene = ArmScene(spec.arm)
-    geometry = scene_geometry(scene.model, spec.scene_fields)
+    scene = ArmScene(spec.arm, box_displacement(calibration))
+    standing = Standing(scene.base, spec.arm.box_body)
+    geometry = scene_geometry(scene.model, spec.scene_fields, standing)
     return TaskFacts(
         task=task,
         layout_hashes=tuple(layout.hash() for _, layout in spec.layouts()),
-        workspace=workspace_of(spec.layout()),
+        workspace=workspace_of(scene.placed(spec.layout())),
         shapes_json=geometry.to_json(),
+        box=scene.box,
     )

@@ -174,7 +174,15 @@ def _drawn(
 
 def _about(first: RecordedRun, episodes: Sequence[RecordedEpisode]) -> dict[str, Any]:
     """Where the data comes from."""
-    kept = ("policy", "seed", "limit_profile", "robot_model_hash", "variation", "calibration")
+    kept = (
+        "policy",
+        "seed",
+        "limit_profile",
+        "robot_model_hash",
+        "variation",
+        "calibration",
+        "box_pose",
+    )
     metadata = first.recording.metadata
     return {
         "layout": json.loads(first.layout.to_json()),

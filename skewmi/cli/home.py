@@ -15,6 +15,7 @@ from typing import Literal
 
 import numpy as np
 
+from skewmi.box_frame import placed
 from skewmi.cli.way_flags import RobotServerFlags, lead
 from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.safety.flange_space import CALIBRATION, TASK
@@ -50,5 +51,5 @@ def run_home(options: HomeCommand) -> int:
 
 def start_of(described: RobotDescription) -> Array:
     """Where episodes of a robot server's task start, rad. Shape (7,)."""
-    workspace = require_workspace(tasks.find(described.task).layout())
+    workspace = placed(require_workspace(tasks.find(described.task).layout()), described.box)
     return draw_start(workspace, 0, 0.0, np.array(workspace.start_configuration))

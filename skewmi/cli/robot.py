@@ -20,7 +20,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from skewmi.calibration.calibration_file import read_calibration
+from skewmi.calibration.calibration_file import Calibration, read_calibration
 from skewmi.cli.egm_flags import BareEgmFlags, EgmFlags, task_facts
 from skewmi.cli.interrupt import signals_to_handle
 from skewmi.cli.robot_flags import RobotName
@@ -117,7 +117,7 @@ def run_robot(options: RobotCommand) -> int:
     with told_from_a_thread(_teller(console)):
         serve_robot(
             options.backend,
-            _backend_options(options),
+            _backend_options(options, calibration),
             config,
             profile,
             stop,
@@ -129,7 +129,7 @@ def run_robot(options: RobotCommand) -> int:
     return 0
 
 
-def _backend_options(options: RobotCommand) -> BackendOptions:
+def _backend_options(options: RobotCommand, calibration: Calibration | None) -> BackendOptions:
     common = BackendOptions(
         task=options.task,
         variation=options.variation,
@@ -138,7 +138,7 @@ def _backend_options(options: RobotCommand) -> BackendOptions:
     )
     if options.backend != "egm":
         return common
-    facts = task_facts(options.task)
+    facts = task_facts(options.task, calibration)
     return replace(
         common, egm=options.egm.bridge(), facts=facts, gripper=options.egm.make_gripper(facts)
     )

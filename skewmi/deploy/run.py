@@ -9,6 +9,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext, supp
 from dataclasses import replace
 from importlib import import_module
 
+from skewmi.box_frame import box_displacement
 from skewmi.calibration.calibration_file import Calibration, read_calibration
 from skewmi.calibration.calibration_use import require_robot, servo_constants
 from skewmi.deploy.options import DeployOptions
@@ -105,11 +106,13 @@ def _run(
         planned_episodes=options.episodes,
     )
     known = None if options.calibration is None else read_calibration(options.calibration)
-    knows_servos = known is not None and (known.servo is not None or known.egm is not None)
+    serves = known is not None and (
+        servo_constants(known) is not None or box_displacement(known) is not None
+    )
     if known is not None and options.starts_robot:
         # Before a robot is started: it would say the same, and nobody would see it.
         require_robot(known, _served(options.robot))
-    with _robot_server(options, policy.layout.task, tell, knows_servos) as locator:
+    with _robot_server(options, policy.layout.task, tell, serves) as locator:
         config = TransportConfig.for_client(
             locator,
             domain=options.domain,
@@ -137,9 +140,16 @@ def _served(robot: str) -> str:
 
 
 def _robot_server(
-    options: DeployOptions, task: str, tell: Callable[[str], None], knows_servos: bool
+    options: DeployOptions, task: str, tell: Callable[[str], None], serves: bool
 ) -> AbstractContextManager[str | None]:
-    """Locator of the robot server that the options name, or of one that is started."""
+    """Locator of the robot server that the options name, or of one that is started.
+
+    Args:
+        options: Name it.
+        task: Of the policy.
+        tell: Told that one is started.
+        serves: Whether the calibration says anything that a robot server needs.
+    """
     if not options.starts_robot:
         return nullcontext(options.connect)
     tell(f"starting the robot {options.robot!r} in its own process")
@@ -149,7 +159,7 @@ def _robot_server(
         options.limits,
         lock_step=options.lock_step,
         variation=options.variation,
-        calibration=options.calibration if knows_servos else None,
+        calibration=options.calibration if serves else None,
         domain=options.domain,
         meanwhile=_prepare,
     )

@@ -37,6 +37,15 @@ class HasBase(Protocol):
     def base_yaw(self) -> float: ...
 
 
+class HasBox(HasBase, Protocol):
+    """The same with its box."""
+
+    @property
+    def low(self) -> tuple[float, float, float]: ...
+    @property
+    def high(self) -> tuple[float, float, float]: ...
+
+
 @dataclass(frozen=True)
 class BaseFrame:
     """The robot base frame in a task's frame.
@@ -102,6 +111,17 @@ class BaseFrame:
         return rotation_t if self.yaw == 0.0 else self.rotation.T @ rotation_t
 
 
+def box_from_base(workspace: HasBox) -> tuple[Array, Array, BaseFrame]:
+    """A workspace's box from the robot base on, along the task's axes, which may be turned.
+
+    Returns:
+        Low and high corner, m, each shape (3,), and the base, whose `vectors_to_task` takes points
+        of the base frame there.
+    """
+    base = BaseFrame.of(workspace)
+    return np.array(workspace.low) - base.position, np.array(workspace.high) - base.position, base
+
+
 NOMINAL_BASE = BaseFrame((float(BASE_IN_WORLD[0]), float(BASE_IN_WORLD[1]), 0.0))
 """Of every task whose box stands where it is believed to."""
 
@@ -128,7 +148,9 @@ class BoxPose:
 
     def __post_init__(self) -> None:
         if not np.isfinite((self.x, self.y, self.yaw_deg, self.origin_x, self.origin_y)).all():
-            raise ConfigurationError(f"{self.words} about {self.origin_x}, {self.origin_y} m: not finite")
+            raise ConfigurationError(
+                f"{self.words} about {self.origin_x}, {self.origin_y} m: not finite"
+            )
         if max(abs(self.x), abs(self.y)) > LARGEST_SHIFT or abs(self.yaw_deg) > LARGEST_TURN_DEG:
             raise ConfigurationError(
                 f"{self.words}; a policy can follow it by {1e3 * LARGEST_SHIFT:g} mm along x and y "

@@ -42,6 +42,7 @@ import numpy as np
 from skewmi.deploy.motion.brake import Array
 from skewmi.deploy.motion.mink_alone import import_mink
 from skewmi.robot_models import mjcf, yumi
+from skewmi.robot_models.base_frame import BaseFrame
 from skewmi.trajectory import GRID_S
 
 mink = import_mink()
@@ -99,10 +100,12 @@ class DifferentialIk:
 
     Args:
         posture: Preferred configuration q*, rad. Shape (7,).
-        rotation: Wanted orientation, hand to base. Shape (3, 3).
+        rotation: Wanted orientation, hand to task. Shape (3, 3).
+        base: The robot base in the task's frame, along whose axes faces are; None for its own.
     """
 
-    def __init__(self, posture: Array, rotation: Array) -> None:
+    def __init__(self, posture: Array, rotation: Array, base: BaseFrame | None = None) -> None:
+        base = BaseFrame((0.0, 0.0, 0.0)) if base is None else base
         model = _arm_model()
         self._configuration = mink.Configuration(model)
         self._site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, yumi.tool_name("right"))
@@ -114,7 +117,10 @@ class DifferentialIk:
             gain=FEEDBACK_RATE * GRID_S,
         )
         self._posture = np.array(posture, dtype=np.float64)
-        self._quaternion_wxyz = mink.SO3.from_matrix(np.asarray(rotation, dtype=np.float64)).wxyz
+        self._quaternion_wxyz = mink.SO3.from_matrix(
+            base.rotations_to_base(np.asarray(rotation, dtype=np.float64))
+        ).wxyz
+        self._turned = None if base.yaw == 0.0 else base.rotation
         self._waited_s = 0.0
         self._no_rows = np.zeros((0, model.nv))
         self._position_jacobian = np.zeros((3, model.nv))
@@ -146,7 +152,7 @@ class DifferentialIk:
             low: Lowest joint velocities, rad/s. Shape (7,).
             high: Highest. Shape (7,).
             feedback_rate: k, 1/s.
-            outwards: Highest hand velocities in the directions -x, -y, -z, x, y, z of the base,
+            outwards: Highest hand velocities in the directions -x, -y, -z, x, y, z of the task,
                 m/s; infinite for none, negative for a way back. Shape (6,).
 
         Returns:
@@ -178,7 +184,9 @@ class DifferentialIk:
             self._configuration.model, data, self._position_jacobian, None, self._site
         )
         bounded = np.isfinite(outwards)
-        rows = np.concatenate((-self._position_jacobian, self._position_jacobian))[bounded]
+        jacobian = self._position_jacobian
+        along = jacobian if self._turned is None else self._turned @ jacobian
+        rows = np.concatenate((-along, along))[bounded]
         return np.ascontiguousarray(rows), outwards[bounded]
 
     def _giving_way(self, position: Array, velocity: Array) -> float:

@@ -8,6 +8,7 @@ import numpy as np
 
 from skewmi.errors import ConfigurationError
 from skewmi.policy_io import Workspace
+from skewmi.robot_models.base_frame import BaseFrame
 from skewmi.robot_models.frames import rotation_from_quaternion
 from skewmi.robot_models.kinematics import ArmKinematics, require_converged
 from skewmi.robot_models.limits import JointLimits
@@ -60,18 +61,18 @@ def derive_hand_bounds(
         ConfigurationError: The start configuration does not put the hand at the start.
         KinematicsError: A corner of the box cannot be reached.
     """
-    rotation = rotation_from_quaternion(workspace.hand_quaternion_wxyz)
-    base = np.array(workspace.base_position)
+    base = BaseFrame.of(workspace)
+    rotation = base.rotations_to_base(rotation_from_quaternion(workspace.hand_quaternion_wxyz))
     start = np.array(workspace.start_configuration, dtype=np.float64)
     position, _ = kinematics.forward(start)
-    distance = float(np.linalg.norm(position + base - np.array(workspace.start)))
+    distance = float(np.linalg.norm(base.to_task(position) - np.array(workspace.start)))
     if distance > START_TOLERANCE:
         raise ConfigurationError(
             f"the start configuration puts the hand {1e3 * distance:.1f} mm away from the start "
             f"position, allowed are {1e3 * START_TOLERANCE:.1f} mm; correct the task's layout"
         )
     corners = np.array(np.meshgrid(*zip(workspace.low, workspace.high, strict=True)))
-    points = np.vstack([corners.reshape(3, 8).T, np.array(workspace.start)]) - base
+    points = base.to_base(np.vstack([corners.reshape(3, 8).T, np.array(workspace.start)]))
     result = kinematics.inverse(points, rotation, start, max_iterations=50)
     require_converged(result)
     inverse = np.linalg.pinv(kinematics.jacobian(result.q))[:, :, :3]

@@ -36,6 +36,7 @@ from skewmi.deploy.motion.smoothing import DELAY_S, FORESEEN, SmoothedReference
 from skewmi.deploy.safety.limits import TCP_SPEED_LIMIT, WORKSPACE_TOLERANCE
 from skewmi.errors import ConfigurationError, KinematicsError, LimitViolationError
 from skewmi.policy_io import Workspace
+from skewmi.robot_models.base_frame import BaseFrame
 from skewmi.robot_models.frames import rotation_from_quaternion, rotation_vector
 from skewmi.robot_models.kinematics import ArmKinematics
 from skewmi.robot_models.limits import JointLimits
@@ -76,7 +77,7 @@ class Planner:
     ) -> None:
         self.limits = limits
         self.workspace = workspace
-        self._base = np.array(workspace.base_position)
+        self._base = BaseFrame.of(workspace)
         self._low, self._high = np.array(workspace.low), np.array(workspace.high)
         self._rotation = rotation_from_quaternion(workspace.hand_quaternion_wxyz)
         self._tolerance = TOLERANCE_SHARE * WORKSPACE_TOLERANCE
@@ -85,7 +86,7 @@ class Planner:
         posture = np.array(workspace.start_configuration)
         self.hand_bounds = derive_hand_bounds(workspace, self._kinematics, limits, flange_speed)
         self._joints = JointShaper(limits)
-        self._ik = DifferentialIk(posture, self._rotation)
+        self._ik = DifferentialIk(posture, self._rotation, self._base)
         self._hand = _shaper(self._low, self._high, self.hand_bounds)
         self._faces = Faces(self._low, self._high, self._tolerance, self.hand_bounds)
         self._reference = Reference(np.array(workspace.start))
@@ -110,7 +111,7 @@ class Planner:
     def forward(self, q: Array) -> tuple[Array, Array]:
         """Hand positions (..., 3) in world, m, and rotations (..., 3, 3) of configurations."""
         position, rotation = self._kinematics.forward(q)
-        return position + self._base, rotation
+        return self._base.to_task(position), self._base.rotations_to_task(rotation)
 
     def reset(self, q: Array) -> None:
         """Start planning from rest at a configuration.
@@ -220,16 +221,16 @@ class Planner:
         return chunk
 
     def _grid_step(self) -> None:
-        joints, hand = self._joints, self._hand
-        at = self._ik.place(joints.point.q) + self._base
+        joints, hand, base = self._joints, self._hand, self._base
+        at = base.to_task(self._ik.place(joints.point.q))
         due_w = self._shaped[0]
         self._advance_reference()
         hand.step(self._smoothed, at, LEASH)
         self._shaped.append(hand.position_w)
         low, high = (self._haste * bound for bound in joints.velocity_bounds())
         rate = joints.feedback_rate(FEEDBACK_RATE)
-        where, faces = due_w - self._base, self._faces.outwards(at)
-        wanted = self._ik.solve(where, hand.velocity_w, low, high, rate, faces)
+        where, velocity = base.to_base(due_w), base.vectors_to_base(hand.velocity_w)
+        wanted = self._ik.solve(where, velocity, low, high, rate, self._faces.outwards(at))
         joints.step(_REST if wanted is None else wanted, low, high)
 
     def _advance_reference(self) -> None:
@@ -240,7 +241,7 @@ class Planner:
         """Continue from a sample of a chunk, and command the hand where it then is."""
         point = chunk.point(index)
         self._joints.point = point
-        velocity = self._kinematics.jacobian(point.q)[:3] @ point.v
+        velocity = self._base.vectors_to_task(self._kinematics.jacobian(point.q)[:3] @ point.v)
         self._reseed(self.forward(point.q)[0], velocity)
 
     def _reseed(self, position_w: Array, velocity_w: Array) -> None:
@@ -290,11 +291,5 @@ def _require_start(outside: float, tolerance: float, tilt: float) -> None:
 
 
 def _shaper(low: Array, high: Array, bounds: HandBounds) -> CartesianShaper:
-    return CartesianShaper(
-        low,
-        high,
-        speed=bounds.speed,
-        acceleration=bounds.acceleration,
-        jerk=bounds.jerk,
-        reference_delay_s=FORESEEN * DELAY_S,
-    )
+    numbers = {"speed": bounds.speed, "acceleration": bounds.acceleration, "jerk": bounds.jerk}
+    return CartesianShaper(low, high, reference_delay_s=FORESEEN * DELAY_S, **numbers)

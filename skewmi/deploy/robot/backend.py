@@ -16,6 +16,7 @@ from typing import Protocol, runtime_checkable
 
 from skewmi.errors import SkewmiError
 from skewmi.policy_io import Array, Workspace
+from skewmi.robot_models.base_frame import BoxPose
 from skewmi.trajectory import JointPoint
 
 _CLOCK_STARTS_S = (1 << 28, 1 << 30)
@@ -90,10 +91,12 @@ class Scene(Protocol):
 
     @property
     def workspace(self) -> Workspace | None:
-        """Box of the hand in the task, which motion that is inside must not leave."""
+        """Box of the hand in the task, which motion that is inside must not leave; placed as the
+        known box asks for (`box_frame.placed`)."""
 
     shapes_json: str
-    """Shapes around the robot for replays, as `SceneGeometry.to_json`; empty if unknown."""
+    """Shapes around the robot for replays, as `SceneGeometry.to_json`, in the frame of the known
+    box; empty if unknown."""
     simulated: bool
     """Whether robot and scene are simulated in this process."""
 
@@ -122,6 +125,14 @@ class Scene(Protocol):
         Raises:
             CommandRefusedError: The scene is real.
         """
+
+
+@runtime_checkable
+class StandsKnown(Protocol):
+    """A scene that works in the frame of a box that a calibration has found, besides `Scene`."""
+
+    known_box: BoxPose | None
+    """Where it is known to stand; None if nobody looked for it."""
 
 
 class RobotBackend(Protocol):

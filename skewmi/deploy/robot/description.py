@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, fields
 from math import inf
 from typing import Any
 
-from skewmi.errors import TransportError
+from skewmi.errors import ConfigurationError, TransportError
+from skewmi.robot_models.base_frame import BaseFrame, BoxPose, base_of
 from skewmi.robot_models.limits import JointLimits
 from skewmi.trajectory import GRID_NS
 
@@ -21,6 +22,9 @@ EGM = "egm"
 """Key of a recording's metadata: `RobotDescription.egm`, a JSON object."""
 ROBOT_CALIBRATION = "robot_calibration"
 """Key of a recording's metadata: `RobotDescription.calibration`."""
+
+BOX_POSE = "box_pose"
+"""Likewise: `RobotDescription.box_pose`, a JSON object; missing without one."""
 
 SCENE_REQUEST = b"scene"
 """Extra bytes of a describe request that ask for the scene's shapes, too."""
@@ -80,6 +84,26 @@ class RobotDescription:
     those that can be asked for at arming as `safety.flange_space.FlangeSpace.numbers`."""
     workspace: str = "task"
     """The one that holds now."""
+    box_pose: Mapping[str, float] = field(default_factory=dict)
+    """Where the task's box is known to stand, as `BoxPose.as_mapping`: the task's workspace and the
+    scene are in its frame. Empty if nobody looked for it: it is where the task has it."""
+
+    @property
+    def box(self) -> BoxPose | None:
+        """`box_pose`, read.
+
+        Raises:
+            TransportError: It is none, or one that nobody can work with.
+        """
+        try:
+            return BoxPose.of_mapping(self.box_pose)
+        except ConfigurationError as error:
+            raise TransportError(f"the robot server tells of a box: {error}") from error
+
+    @property
+    def base_frame(self) -> BaseFrame:
+        """The robot base in the task's frame, which `scene` is told in."""
+        return base_of(self.box)
 
     @property
     def scene_fields(self) -> dict[str, str]:
@@ -117,6 +141,7 @@ class RobotDescription:
             content["contact"] = {k: float(v) for k, v in content["contact"].items()}
             content["limits"] = {k: tuple(v) for k, v in content["limits"].items()}
             content["egm"] = {k: float(v) for k, v in content.get("egm", {}).items()}
+            content["box_pose"] = {k: float(v) for k, v in content.get("box_pose", {}).items()}
             publishers = content.get("publishers", {})
             content["publishers"] = {k: tuple(map(str, v)) for k, v in publishers.items()}
             workspaces = content.get("workspaces", {})
@@ -138,6 +163,8 @@ def recorded_facts(description: RobotDescription) -> dict[str, str]:
     facts = {"backend": description.backend, ROBOT_CALIBRATION: description.calibration}
     if description.egm:
         facts[EGM] = json.dumps(dict(description.egm))
+    if description.box_pose:
+        facts[BOX_POSE] = json.dumps(dict(description.box_pose))
     return facts
 
 

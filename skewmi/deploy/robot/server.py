@@ -39,7 +39,7 @@ from skewmi.deploy.robot.publisher import StatePublisher
 from skewmi.deploy.robot.refusals import printable
 from skewmi.deploy.robot.requests import RobotRequests
 from skewmi.deploy.robot.states import ServerState
-from skewmi.deploy.robot.workspaces import workspaces_told
+from skewmi.deploy.robot.workspaces import told_box, workspaces_told
 from skewmi.deploy.safety.flange_space import FlangeSpace
 from skewmi.deploy.safety.limits import TCP_SPEED_LIMIT
 from skewmi.deploy.state_machine import Transition
@@ -231,6 +231,7 @@ class RobotServer:
             workspaces=workspaces_told(scene, self._spaces),
             workspace=controller.lease.workspace,
             calibration=self._calibration,
+            box_pose={} if (box := told_box(scene)) is None else box.as_mapping(),
             egm=backend.egm() if isinstance(backend, GuidedByEgm) else {},
         )
 

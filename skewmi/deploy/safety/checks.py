@@ -21,6 +21,7 @@ from skewmi.deploy.safety.limits import (
 from skewmi.deploy.safety.validation import LimitCheck
 from skewmi.errors import LimitViolationError
 from skewmi.policy_io import Workspace
+from skewmi.robot_models.base_frame import box_from_base
 from skewmi.robot_models.kinematics import ArmKinematics
 from skewmi.robot_models.limits import JointLimits
 from skewmi.robot_models.obstacle import Obstacle
@@ -162,14 +163,14 @@ def limit_check(
     if workspace is None:
         return check_anywhere
     inside = ChunkChecker(limits, workspace, forward, tcp_speed=speed)
-    base = np.array(workspace.base_position)
+    low, high, base = box_from_base(workspace)
     room = WORKSPACE_TOLERANCE + _ROUNDING
-    low, high = np.array(workspace.low) - base - room, np.array(workspace.high) - base + room
+    low, high = low - room, high + room
 
     def check(samples: JointTrajectory, present: JointPoint, earlier: Array) -> object:
         # The first sample is where the accepted plan is, or the checker refuses it: their
         # distance, 1e-9 rad at most, is far less than the rounding that is allowed for.
-        start = forward.begin(samples.q)[0][0]
+        start = base.vectors_to_task(forward.begin(samples.q)[0][0])
         checker = inside if bool(((low <= start) & (start <= high)).all()) else anywhere
         return checker.check(samples.q, samples.v, samples.a, previous=present, earlier=earlier)
 

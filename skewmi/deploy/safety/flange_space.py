@@ -26,6 +26,7 @@ from skewmi.deploy.safety.limits import (
 from skewmi.errors import ConfigurationError, LimitViolationError
 from skewmi.policy_io import Workspace
 from skewmi.robot_models import yumi
+from skewmi.robot_models.base_frame import BaseFrame
 from skewmi.robot_models.limits import JointLimits
 from skewmi.robot_models.obstacle import Obstacle
 from skewmi.robot_models.yumi import Vector
@@ -70,7 +71,7 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True)
 class FlangeSpace:
-    """A box for the flange, and what else holds in it. Vectors in the robot base frame, m."""
+    """A box for the flange, and what else holds in it. Vectors from the robot base on, m."""
 
     name: str
     low: Vector
@@ -79,10 +80,12 @@ class FlangeSpace:
     """Height that no point of the hand may come below, m; 0 (the table top) does not bind."""
     speed: float = TCP_SPEED_LIMIT
     """Largest speed of the flange, and where it is less than usual also of the finger tips, m/s."""
+    yaw: float = 0.0
+    """Turn of the box's axes about the base's vertical, rad."""
 
     def __post_init__(self) -> None:
         low, high = np.array(self.low), np.array(self.high)
-        numbers = (*self.low, *self.high, self.fingers_above, self.speed)
+        numbers = (*self.low, *self.high, self.fingers_above, self.speed, self.yaw)
         if low.shape != (3,) or high.shape != (3,) or not np.isfinite(numbers).all():
             raise ConfigurationError(
                 f"workspace {self.name!r} has corners {self.low} and {self.high}, height "
@@ -97,12 +100,13 @@ class FlangeSpace:
 
     def numbers(self) -> dict[str, tuple[float, ...]]:
         """For a robot server's description."""
-        return {
+        told: dict[str, tuple[float, ...]] = {
             "low": tuple(self.low),
             "high": tuple(self.high),
             "fingers_above": (self.fingers_above,),
             "speed": (self.speed,),
         }
+        return told if self.yaw == 0.0 else told | {"yaw": (self.yaw,)}
 
     @staticmethod
     def from_numbers(name: str, numbers: Mapping[str, Sequence[float]]) -> FlangeSpace:
@@ -113,13 +117,14 @@ class FlangeSpace:
         """
         try:
             (above,), (speed,) = numbers["fingers_above"], numbers["speed"]
+            (yaw,) = numbers.get("yaw", (0.0,))
             (x, y, z), (high_x, high_y, high_z) = numbers["low"], numbers["high"]
         except (KeyError, ValueError, TypeError) as error:
             raise ConfigurationError(
                 f"workspace {name!r} is told as {dict(numbers)}; it needs low, high, fingers_above "
                 "and speed"
             ) from error
-        return FlangeSpace(name, (x, y, z), (high_x, high_y, high_z), above, speed)
+        return FlangeSpace(name, (x, y, z), (high_x, high_y, high_z), above, speed, yaw)
 
 
 def flange_spaces(
@@ -133,8 +138,9 @@ def flange_spaces(
     """
     if workspace is None or not obstacles:
         return {}
-    base = np.array(workspace.base_position)
-    low, high = np.array(workspace.low) - base, np.array(workspace.high) - base
+    corners = np.array(np.meshgrid(*zip(workspace.low, workspace.high, strict=True)))
+    corners = BaseFrame.of(workspace).to_base(corners.reshape(3, 8).T)
+    low, high = corners.min(axis=0), corners.max(axis=0)
     above = max(box.top for box in obstacles) + ABOVE
     holds_task = (np.array(CLEAR_LOW) <= low).all() and (high <= np.array(CLEAR_HIGH)).all()
     if not holds_task or above + FINGER_TIP + HEADROOM > CLEAR_HIGH[2]:
@@ -185,6 +191,7 @@ class SpaceCheck:
         self._checker = ChunkChecker(limits, None, forward, tcp_speed=self._speed)
         self._slow = space.speed < TCP_SPEED_LIMIT
         self._low, self._high = np.array(space.low), np.array(space.high)
+        self._axes = BaseFrame((0.0, 0.0, 0.0), -space.yaw)
         self._above = space.fingers_above
         self._tolerance = tolerance
 
@@ -222,6 +229,7 @@ class SpaceCheck:
         return self._check_places(*self._forward(q))
 
     def _check_places(self, position: Array, rotation: Array) -> LimitUsage:
+        position = self._axes.vectors_to_task(position)
         outside = np.maximum(self._low - position, position - self._high)
         excess = outside.max(axis=1)
         began_inside = bool(excess[0] <= self._tolerance + _ROUNDING)

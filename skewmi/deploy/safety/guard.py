@@ -18,6 +18,7 @@ from skewmi.deploy.safety.clearance import ClearanceCheck
 from skewmi.errors import LimitViolationError
 from skewmi.policy_io import Workspace
 from skewmi.robot_models import urdf, yumi
+from skewmi.robot_models.base_frame import BaseFrame, box_from_base
 from skewmi.robot_models.limits import JointLimits
 from skewmi.robot_models.obstacle import Obstacle
 from skewmi.trajectory import CYCLE_TICKS, Array
@@ -81,14 +82,13 @@ class Guard:
         obstacles: Iterable[Obstacle] = (),
     ) -> None:
         self._torque = limits.torque
-        self._workspace: tuple[Array, Array, Array] | None = None
+        self._workspace: tuple[Array, Array, Array, BaseFrame] | None = None
         opening = yumi.GRIPPER.travel
         if workspace is not None:
-            base = np.array(workspace.base_position)
+            low, high, base = box_from_base(workspace)
             w, x, y, z = workspace.hand_quaternion_wxyz
             rotation = pinocchio.Quaternion(w, x, y, z).normalized().toRotationMatrix()
-            low, high = np.array(workspace.low) - base, np.array(workspace.high) - base
-            self._workspace = low, high, rotation
+            self._workspace = low, high, rotation, base
             opening = workspace.gripper_opening
         self._model, shapes, torso = _build_arm(opening, payload)
         self._data = self._model.createData()
@@ -134,8 +134,9 @@ class Guard:
     def _check_hand(self, q: Array) -> tuple[float, float]:
         if self._workspace is None:
             return 0.0, 0.0
-        low, high, rotation = self._workspace
+        low, high, rotation, base = self._workspace
         position, actual = self.tool(q)
+        position, actual = base.vectors_to_task(position), base.rotations_to_task(actual)
         outside = float(np.maximum(low - position, position - high).max())
         if outside > WORKSPACE_TOLERANCE:
             raise LimitViolationError(

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from skewmi.errors import ConfigurationError, LimitViolationError
 from skewmi.policy_io import Workspace
+from skewmi.robot_models.base_frame import BaseFrame, box_from_base
 from skewmi.robot_models.limits import JointLimits
 from skewmi.trajectory import JointPoint
 
@@ -128,10 +129,9 @@ class ChunkChecker:
         self._half = (limits.position_upper - limits.position_lower) / 2.0
         self._tcp_speed = tcp_speed
         self._forward = forward
-        self._box: tuple[Array, Array] | None = None
+        self._box: tuple[Array, Array, BaseFrame] | None = None
         if workspace is not None:
-            base = workspace.base_position
-            self._box = np.array(workspace.low) - base, np.array(workspace.high) - base
+            self._box = box_from_base(workspace)
         self._tolerance = workspace_tolerance
 
     def check(
@@ -270,7 +270,8 @@ class ChunkChecker:
             raise LimitViolationError("tool speed, m/s", speed, self._tcp_speed)
         use = LimitUsage(tcp_speed=speed / self._tcp_speed)
         if self._box is not None:
-            low, high = self._box
+            low, high, base = self._box
+            position = base.vectors_to_task(position)
             outside = np.maximum(low - position, position - high)
             worst = float(outside.max())
             if worst > self._tolerance:

@@ -7,7 +7,8 @@ from typing import Protocol
 
 import numpy as np
 
-from skewmi.robot_models.frames import rotation_from_quaternion, world_to_base
+from skewmi.robot_models.base_frame import NOMINAL_BASE, BaseFrame
+from skewmi.robot_models.frames import rotation_from_quaternion
 from skewmi.robot_models.obstacle import Obstacle
 from skewmi.trajectory import Array
 
@@ -30,7 +31,9 @@ class Shape(Protocol):
     def quaternion_wxyz(self) -> Sequence[float]: ...
 
 
-def scene_obstacles(shapes: Iterable[Shape], margin: float = 0.0) -> tuple[Obstacle, ...]:
+def scene_obstacles(
+    shapes: Iterable[Shape], margin: float = 0.0, base: BaseFrame = NOMINAL_BASE
+) -> tuple[Obstacle, ...]:
     """One box around all that stands still, and one around what moves with each joint.
 
     Sides are along the base's axes; joints of the scene are at zero (a lid is shut). A box within
@@ -39,10 +42,11 @@ def scene_obstacles(shapes: Iterable[Shape], margin: float = 0.0) -> tuple[Obsta
     Args:
         shapes: Of the scene.
         margin: Added on every side, m: for a scene that is not exactly where it is said to be.
+        base: The robot base in the frame of the shapes.
     """
     bounds: dict[str, tuple[Array, Array]] = {}
     for shape in shapes:
-        low, high = _extent(shape)
+        low, high = _extent(shape, base)
         if high[2] <= TABLE_TOP:
             continue
         if shape.joint in bounds:
@@ -62,10 +66,10 @@ def _volume(box: tuple[str, tuple[Array, Array]]) -> float:
     return float((high - low).prod())
 
 
-def _extent(shape: Shape) -> tuple[Array, Array]:
-    rotation = rotation_from_quaternion(shape.quaternion_wxyz)
+def _extent(shape: Shape, base: BaseFrame) -> tuple[Array, Array]:
+    rotation = base.rotations_to_base(rotation_from_quaternion(shape.quaternion_wxyz))
     half = np.abs(rotation) @ np.array(shape.half_size, dtype=np.float64)
-    centre = world_to_base(shape.position)
+    centre = base.to_base(shape.position)
     return centre - half, centre + half
 
 

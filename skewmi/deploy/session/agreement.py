@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from skewmi.deploy.robot.description import RobotDescription, limit_values
 from skewmi.errors import ConfigurationError, LayoutMismatchError
 from skewmi.policy_io import PolicyLayout
@@ -58,6 +60,23 @@ def check_agreement(
         )
     _check_model("policy", robot_model_hash)
     check_robot(limits, server)
+
+
+def check_same_box(agreed: Mapping[str, float], server: RobotDescription) -> None:
+    """Refuse a robot server that has come to know another place of the box since the agreement.
+
+    Args:
+        agreed: `RobotDescription.box_pose` that the session plans with.
+        server: What the robot server says about itself now.
+
+    Raises:
+        ConfigurationError: They differ.
+    """
+    if dict(agreed) != dict(server.box_pose):
+        raise ConfigurationError(
+            f"the robot server has the task's box elsewhere than before: {dict(server.box_pose)}, "
+            f"and this session plans with {dict(agreed)}; start the session again"
+        )
 
 
 def check_robot(limits: JointLimits, server: RobotDescription) -> None:

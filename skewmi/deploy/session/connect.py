@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
+from skewmi.box_frame import placed
 from skewmi.calibration.calibration_file import Calibration
 from skewmi.calibration.calibration_use import servo_constants
 from skewmi.deploy.motion.planner import Planner
@@ -19,7 +20,7 @@ from skewmi.deploy.session.arm_delay import ArmDelay
 from skewmi.deploy.session.control_loop import ControlLoop
 from skewmi.deploy.session.deployable import require_workspace
 from skewmi.deploy.session.episode import EpisodeRunner
-from skewmi.deploy.session.known_robot import agree_on_calibration
+from skewmi.deploy.session.known_robot import agree_on_box, agree_on_calibration
 from skewmi.deploy.session.observer import Observer
 from skewmi.deploy.session.pace import Pace, choose_pace, planning_limits
 from skewmi.deploy.session.policy_motion import PolicyMotion
@@ -65,7 +66,7 @@ def connect(
         TransportError: It does not answer.
         TooBusyError: This computer is too busy, and the simulated robot of this run could wait.
     """
-    layout, workspace = policy.layout, require_workspace(policy.layout)
+    layout = policy.layout
     servos = None if known is None else servo_constants(known)
     shown = PolicyTopics.open(link, layout)
     robot, status, trust = _ends_of(link, shown, options)
@@ -73,6 +74,7 @@ def connect(
     limits = admitted(planning_limits(options.limits, options.speed, servos), described)
     check_pace(described, lock_step=options.lock_step)
     check_agreement(layout, options.robot_model_hash, limits, described)
+    workspace = placed(require_workspace(layout), agree_on_box(known, described))
     status.clock_ns = described.clock_ns
     robot.delay = _agreed_delay(known, described, report, tell)
     lead_s = options.lead_ms / 1e3
@@ -85,7 +87,9 @@ def connect(
     pace = choose_pace(layout, options.speed, planner.hand_bounds.speed, limits.name)
     _tell_pace(pace, report, tell)
     motion = PolicyMotion(policy, planner, observer, stream, robot, shown, times, pace.step_cycles)
-    preflight = Preflight(layout, options, limits, robot, observer, checks, status, stop, described)
+    preflight = Preflight(
+        layout, options, limits, robot, observer, checks, status, stop, described, workspace
+    )
     approach = Approach(loop, stream, limits, flange_speed)
     episodes = EpisodeRunner(
         layout, options, preflight, approach, motion, loop, checks, robot, status

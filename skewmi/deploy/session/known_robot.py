@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from skewmi.box_frame import box_displacement
 from skewmi.calibration.calibration_file import Calibration
 from skewmi.calibration.calibration_use import (
     fingerprint,
@@ -11,6 +12,8 @@ from skewmi.calibration.calibration_use import (
     require_robot,
 )
 from skewmi.deploy.robot.description import RobotDescription
+from skewmi.errors import ConfigurationError
+from skewmi.robot_models.base_frame import BoxPose
 
 
 @dataclass(frozen=True)
@@ -61,3 +64,44 @@ def agree_on_calibration(
     )
     # A robot server that has one makes up for the delay that it knows.
     return CalibrationAgreement(0.0 if theirs else known_delay_s(known), note)
+
+
+def agree_on_box(known: Calibration | None, described: RobotDescription) -> BoxPose | None:
+    """See that a session and its robot server have the task's box at the same place.
+
+    They judge motion in the frame of that box: with two of them, one would send what the other
+    refuses, or nobody would know where the hand is.
+
+    Args:
+        known: By the session; None if nothing is.
+        described: The robot server's own words.
+
+    Returns:
+        Where it stands; None if neither has looked for it.
+
+    Raises:
+        ConfigurationError: They have it at two places, or one of them at none, or too far away.
+        TransportError: What the robot server tells of it is not to be understood.
+    """
+    ours, theirs = box_displacement(known), described.box
+    if ours is None:
+        if theirs is None:
+            return None
+        raise ConfigurationError(
+            f"the robot server works with a calibration of the scene ({theirs.words}), this "
+            "session with none: give it the same --calibration, or restart the robot server "
+            "without"
+        )
+    mine = BoxPose(*ours, *((0.0, 0.0) if theirs is None else (theirs.origin_x, theirs.origin_y)))
+    if theirs is None:
+        raise ConfigurationError(
+            f"{mine.words}, and the robot server works as if it stood at its place: restart it with "
+            "the same --calibration, or give this session none of the scene"
+        )
+    if mine != theirs:
+        raise ConfigurationError(
+            f"{mine.words}, and the robot server has it at {1e3 * theirs.x:+.3f} mm, "
+            f"{1e3 * theirs.y:+.3f} mm and {theirs.yaw_deg:+.4f} degrees: restart it with the same "
+            "--calibration"
+        )
+    return theirs

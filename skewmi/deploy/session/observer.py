@@ -12,7 +12,8 @@ from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.senders import Senders
 from skewmi.deploy.wire.transport import LatestReader, Link
 from skewmi.policy_io import TIME_FIELD, Array, PolicyLayout, assemble_observation
-from skewmi.robot_models import frames, yumi
+from skewmi.robot_models import yumi
+from skewmi.robot_models.base_frame import NOMINAL_BASE, BaseFrame
 from skewmi.robot_models.kinematics import ArmKinematics
 
 MAX_JOINT_AGE_S = 0.100
@@ -59,6 +60,7 @@ class Observer:
         state_period_s: How often the robot server publishes, s.
         max_age_s: Of a joint state, before the arm stops, s; see `allowed_age_s`.
         zero: Of the scene's hinges, if something is known of the robot.
+        base: The robot base in the task's frame, "world" here.
     """
 
     def __init__(
@@ -72,6 +74,7 @@ class Observer:
         state_period_s: float,
         max_age_s: float = MAX_JOINT_AGE_S,
         zero: LidZero | None = None,
+        base: BaseFrame = NOMINAL_BASE,
     ) -> None:
         self._arms = ArmStates(
             joints,
@@ -83,7 +86,7 @@ class Observer:
         self._scene, self._zero = scene, zero
         self._layout = layout
         self.max_age_s = max_age_s
-        self._kinematics = ArmKinematics("right")
+        self._kinematics, self._base = ArmKinematics("right"), base
 
     @staticmethod
     def open(
@@ -99,7 +102,8 @@ class Observer:
         Args:
             link: To the robot server.
             layout: Of the policy; without one nothing of the scene has to be known.
-            server: What the robot server says about itself and its scene.
+            server: What the robot server says about itself and its scene, and where it has the
+                task's box: it has to have been agreed on.
             senders: Who is believed.
             lead_s: From a state to the motion that answers it, s.
             known: Of robot and scene.
@@ -124,6 +128,7 @@ class Observer:
             state_period_s=server.state_period_ns / 1e9,
             max_age_s=allowed_age_s(lead_s),
             zero=None if known is None or layout is None else LidZero(known, layout),
+            base=server.base_frame,
         )
 
     def next_state(self) -> ArmState | None:
@@ -204,8 +209,7 @@ class Observer:
     def hand_of(self, q: Array) -> Array:
         """Hand in world at joint angles, m. Shape (7,) -> (3,)."""
         position, _ = self._kinematics.forward(q)
-        hand: Array = position + frames.BASE_IN_WORLD
-        return hand
+        return self._base.to_task(position)
 
     def observation(self, state: ArmState, hand_position_w: Array, step: int) -> Array:
         """What the policy sees. Shape (observation_dim,).

@@ -39,7 +39,7 @@ def open_space(
             "what the arm must stay clear of"
         )
     parts = SceneGeometry.from_json(description.scene).parts
-    obstacles = () if workspace == TOUCH else scene_obstacles(parts, margin)
+    obstacles = () if workspace == TOUCH else scene_obstacles(parts, margin, description.base_frame)
     speed = description.limits.get(FLANGE_SPEED, (TCP_SPEED_LIMIT,))[0]
     space = FlangeSpace.from_numbers(workspace, offered[workspace])
     return SpaceChecks(limits, space, obstacles, speed)

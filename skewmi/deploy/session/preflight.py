@@ -12,7 +12,7 @@ from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.robot.states import ServerState
 from skewmi.deploy.safety.checks import ChunkChecks
-from skewmi.deploy.session.agreement import check_agreement
+from skewmi.deploy.session.agreement import check_agreement, check_same_box
 from skewmi.deploy.session.arm_state import ArmState
 from skewmi.deploy.session.deployable import require_workspace
 from skewmi.deploy.session.interrupt import StopRequestedError, check_interrupt
@@ -21,6 +21,7 @@ from skewmi.deploy.session.readiness import wait_until_ready
 from skewmi.deploy.session.robot_client import RobotClient
 from skewmi.deploy.session.status import SessionStatus
 from skewmi.policy_io import Array, PolicyLayout, Workspace
+from skewmi.robot_models.base_frame import BaseFrame
 from skewmi.robot_models.frames import rotation_from_quaternion
 from skewmi.robot_models.kinematics import ArmKinematics, require_converged
 from skewmi.robot_models.limits import JointLimits
@@ -63,6 +64,7 @@ class Preflight:
         status: Keeps the time of the newest state.
         stop: Set from outside to end the run.
         description: What the robot server said of itself when the session connected to it.
+        workspace: The layout's, placed as both sides agreed that the box stands.
     """
 
     def __init__(
@@ -76,9 +78,11 @@ class Preflight:
         status: SessionStatus,
         stop: threading.Event,
         description: RobotDescription,
+        workspace: Workspace | None = None,
     ) -> None:
         self._layout = layout
-        self._workspace = require_workspace(layout)
+        self._workspace = require_workspace(layout) if workspace is None else workspace
+        self._box_pose = dict(description.box_pose)
         self._options = options
         self._limits = limits
         self._robot = robot
@@ -105,6 +109,7 @@ class Preflight:
         self._robot.arm()
         description = self._robot.describe()
         check_agreement(self._layout, self._options.robot_model_hash, self._limits, description)
+        check_same_box(self._box_pose, description)
         if description.resettable:
             description = self._reset_scene(seed)
         if description.stops > self._known_stops:
@@ -153,9 +158,10 @@ def draw_start(workspace: Workspace, seed: int, spread: float, q_near: Array) ->
     start = np.clip(np.array(workspace.start) + offset, workspace.low, workspace.high)
     posture = np.array(workspace.start_configuration)
     near = posture if np.abs(q_near - posture).max() > OTHER_POSTURE else q_near
+    base = BaseFrame.of(workspace)
     result = ArmKinematics("right").inverse(
-        (start - np.array(workspace.base_position))[None],
-        rotation_from_quaternion(workspace.hand_quaternion_wxyz),
+        base.to_base(start)[None],
+        base.rotations_to_base(rotation_from_quaternion(workspace.hand_quaternion_wxyz)),
         near[None],
         posture=posture,
         max_iterations=_START_ITERATIONS,

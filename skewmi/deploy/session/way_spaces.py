@@ -36,7 +36,8 @@ def way_spaces(
         ConfigurationError: The robot server does not offer them, or its scene was not asked for.
     """
     calibration, touch = (open_space(description, name, limits) for name in (CALIBRATION, TOUCH))
-    obstacles = scene_obstacles(SceneGeometry.from_json(description.scene).parts)
+    parts = SceneGeometry.from_json(description.scene).parts
+    obstacles = scene_obstacles(parts, base=description.base_frame)
     admitted = description.limits.get(FLANGE_SPEED, (TCP_SPEED_LIMIT,))[0]
     spaces = {
         CALIBRATION: calibration,
@@ -53,6 +54,7 @@ def _task_space(description: RobotDescription, slow: bool) -> FlangeSpace:
     try:
         corners = description.workspaces[TASK]
         (x, y, z), (high_x, high_y, high_z) = corners["low"], corners["high"]
+        (yaw,) = corners.get("yaw", (0.0,))
     except (KeyError, ValueError) as error:
         raise ConfigurationError(
             "the robot server does not tell the task's workspace; is it of another version of "
@@ -64,4 +66,5 @@ def _task_space(description: RobotDescription, slow: bool) -> FlangeSpace:
         (x - room, y - room, z - room),
         (high_x + room, high_y + room, high_z + room),
         speed=TOUCH_SPEED if slow else TCP_SPEED_LIMIT,
+        yaw=yaw,
     )

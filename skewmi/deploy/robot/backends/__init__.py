@@ -75,6 +75,9 @@ class BackendOptions:
     """Of a robot whose arm knows nothing of one; closed with the robot."""
     facts: TaskFacts | None = None
     """What a robot is told of the task that it does not know itself."""
+    box: tuple[float, float, float] | None = None
+    """Where a calibration has the task's box, `box_frame.box_displacement`: of a robot that knows
+    its scene, whose `workspace` and shapes are in that box's frame then."""
     link: Link | None = None
     """The robot server's, for a robot whose scene is served by somebody else."""
 

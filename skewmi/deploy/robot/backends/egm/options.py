@@ -8,6 +8,7 @@ from math import radians
 from skewmi.deploy.robot.backends.egm.program import ProgramSettings
 from skewmi.errors import ConfigurationError
 from skewmi.policy_io import Workspace
+from skewmi.robot_models.base_frame import BoxPose
 
 RIGHT_PORT, LEFT_PORT = 6512, 6511
 """Where public programs for a YuMi send the packets of each arm."""
@@ -36,6 +37,9 @@ class TaskFacts:
     """Where the hand may be."""
     shapes_json: str = ""
     """Nominal shapes, as `SceneGeometry.to_json`."""
+    box: BoxPose | None = None
+    """Where the task's box is known to stand; `workspace` and shapes are in its frame. None if
+    nobody looked for it."""
 
 
 @dataclass(frozen=True)

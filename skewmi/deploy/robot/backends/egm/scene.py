@@ -90,6 +90,7 @@ class EgmScene:
         self.task = facts.task
         self.layout_hashes = facts.layout_hashes
         self.workspace = facts.workspace
+        self.known_box = facts.box
         self.shapes_json = facts.shapes_json
         self._link = link
         self._status = status

@@ -140,5 +140,7 @@ def make(options: BackendOptions) -> RobotBackend:
         )
     start = options.start_configuration
     configuration = None if start is None else np.array(start)
-    simulation = ArmSimulation(options.task, configuration, options.variation, options.feed_forward)
+    simulation = ArmSimulation(
+        options.task, configuration, options.variation, options.feed_forward, options.box
+    )
     return MujocoBackend(simulation, lock_step=options.lock_step)

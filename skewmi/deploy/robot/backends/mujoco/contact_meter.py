@@ -9,6 +9,7 @@ import numpy as np
 
 from skewmi.contact import STANDING_S
 from skewmi.policy_io import Array
+from skewmi.robot_models.base_frame import NOMINAL_BASE, BaseFrame
 from skewmi.trajectory import GRID_NS
 
 _WINDOW = round(STANDING_S * 1e9 / GRID_NS)
@@ -18,12 +19,17 @@ class ContactMeter:
     """Largest values over the ticks since `clear`.
 
     Args:
-        low, high: Of the box that the hand's commands are clipped to, world, m. Shape (3,).
-        rotation: Hand to world, in which the hand is to be held. Shape (3, 3).
+        low, high: Of the box that the hand's commands are clipped to, task, m. Shape (3,).
+        rotation: Hand to task, in which the hand is to be held. Shape (3, 3).
+        base: The robot base in the task's frame. In the simulation's world it is the nominal one.
     """
 
-    def __init__(self, low: Array, high: Array, rotation: Array) -> None:
-        self._low, self._high, self._rotation = low, high, rotation.ravel()
+    def __init__(
+        self, low: Array, high: Array, rotation: Array, base: BaseFrame = NOMINAL_BASE
+    ) -> None:
+        self._low, self._high, self._base = low, high, None if base == NOMINAL_BASE else base
+        held = NOMINAL_BASE.rotations_to_task(base.rotations_to_base(rotation))
+        self._rotation = held.ravel()
         self.clear()
 
     def clear(self) -> None:
@@ -40,8 +46,8 @@ class ContactMeter:
         Args:
             on_hand: Net contact force on hand and wrist, N. Shape (3,).
             on_arm: The same on the whole arm, hand included. Shape (3,).
-            position_w: Of the hand, world, m. Shape (3,).
-            rotation: Hand to world, row by row. Shape (9,).
+            position_w: Of the hand, world of the simulation, m. Shape (3,).
+            rotation: Hand to that world, row by row. Shape (9,).
         """
         self._ticks += 1
         x, y, z = map(float, on_hand)
@@ -54,6 +60,8 @@ class ContactMeter:
         arm = math.dist((u, v, w), (x, y, z))
         self._arm_peak = max(self._arm_peak, arm)
         self._lately = max(self._lately[0], hand), max(self._lately[1], arm)
+        if self._base is not None:
+            position_w = self._base.to_task(NOMINAL_BASE.to_base(position_w))
         beyond = np.maximum(np.maximum(self._low - position_w, position_w - self._high), 0.0)
         self._outside = max(self._outside, math.sqrt(float(beyond @ beyond)))
         self._least_trace = min(self._least_trace, float(self._rotation @ rotation))

@@ -5,7 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from skewmi.deploy.robot.backend import SceneState
-from skewmi.deploy.robot.backends.mujoco.scene_geometry import scene_geometry, scene_poses
+from skewmi.deploy.robot.backends.mujoco.scene_geometry import (
+    Standing,
+    scene_geometry,
+    scene_poses,
+)
 from skewmi.deploy.robot.backends.mujoco.simulation import ArmSimulation
 from skewmi.deploy.wire.simulation_status import encode_poses
 from skewmi.policy_io import Array, Workspace
@@ -28,7 +32,9 @@ class MujocoScene:
         self.task = simulation.task
         self.layout_hashes = tuple(layout.hash() for _, layout in spec.layouts())
         self.workspace: Workspace = workspace_of(simulation.layout)
-        geometry = scene_geometry(simulation.nominal_model, spec.scene_fields)
+        self.known_box = simulation.scene.box
+        self._stands = Standing(simulation.scene.base, simulation.scene.task.box_body)
+        geometry = scene_geometry(simulation.nominal_model, spec.scene_fields, self._stands)
         self.shapes_json = geometry.to_json()
         self._note_poses()
 
@@ -52,6 +58,6 @@ class MujocoScene:
 
     def _note_poses(self) -> None:
         simulation = self._simulation
-        poses = scene_poses(simulation.scene.model, simulation.nominal_model)
+        poses = scene_poses(simulation.scene.model, simulation.nominal_model, self._stands)
         self.poses_json = encode_poses(poses)
         """Where the scene stands since the last reset, see `simulation_status.SCENE_POSES`."""

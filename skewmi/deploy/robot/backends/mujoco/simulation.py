@@ -45,6 +45,7 @@ class ArmSimulation:
             Shapes for replays stay nominal, as does all that the session is told; where they
             stand is told for pictures alone.
         feed_forward: Of the arm's servos, if they are known; the nominal ones' if not given.
+        box: Where a calibration has the task's box, see `ArmScene`: the arm starts before it there.
 
     Attributes:
         nominal_model: The model without what the variation changes: what is believed of it. Not to
@@ -64,6 +65,7 @@ class ArmSimulation:
         start_configuration: Array | None = None,
         variation: str | None = None,
         feed_forward: FeedForward | None = None,
+        box: tuple[float, float, float] | None = None,
     ) -> None:
         self.task = tasks.default() if task is None else task
         self.spec = tasks.find(self.task)
@@ -72,8 +74,8 @@ class ArmSimulation:
                 f"no simulated robot for task {self.task!r}; there is one for "
                 f"{', '.join(tasks.with_arm())}"
             )
-        self.layout: PolicyLayout = self.spec.layout()
-        self.scene = ArmScene(self.spec.arm)
+        self.scene = ArmScene(self.spec.arm, box)
+        self.layout: PolicyLayout = self.scene.placed(self.spec.layout())
         self._data = mujoco.MjData(self.scene.model)
         self._substeps = round(GRID_S / self.scene.model.opt.timestep)
         if abs(self._substeps * self.scene.model.opt.timestep - GRID_S) > 1e-12:
@@ -87,7 +89,10 @@ class ArmSimulation:
         workspace = workspace_of(self.layout)
         self._hand_site = int(self.scene.model.site(yumi.tool_name("right")).id)
         self.contact = ContactMeter(
-            np.array(workspace.low), np.array(workspace.high), hand_rotation(workspace)
+            np.array(workspace.low),
+            np.array(workspace.high),
+            hand_rotation(workspace),
+            self.scene.base,
         )
         self._feed_forward = feed_forward
         self._variation = self.spec.variations.resolve(variation)
