@@ -112,10 +112,8 @@ def _require_room(
         raise _refusal(box, "the hand cannot reach all corners of the task's box")
     for what, value, least, unit in _figures(found):
         if not value >= least:
-            raise _refusal(
-                box,
-                f"{what} would be {value:.3g}{unit} at worst, at least {least:.3g}{unit} is allowed",
-            )
+            bound = f"at least {least:.3g}{unit} is allowed"
+            raise _refusal(box, f"{what} would be {value:.3g}{unit} at worst, {bound}")
 
 
 def _figures(found: Rating) -> tuple[tuple[str, float, float, str], ...]:

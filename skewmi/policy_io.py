@@ -229,7 +229,7 @@ class PolicyLayout:
 
 def _workspace(content: dict[str, Any]) -> Workspace:
     left = {"base_yaw": 0.0, **content}
-    values = {
+    values: dict[str, Any] = {
         name: tuple(value) if isinstance(value := left.pop(key), list) else value
         for name, key in ((f.name, WORKSPACE_KEYS.get(f.name, f.name)) for f in fields(Workspace))
     }

@@ -67,7 +67,7 @@ class RunAssembler:
         self._origin_ns: int | None = None
         self._names = yumi.joint_names("right")
         self._joints: list[JointStates] = []
-        self._command = CommandBuffer()
+        self._command = CommandBuffer(subject.base)
         self._series = {
             topic.name: SeriesBuffer()
             for topic in (
@@ -207,7 +207,7 @@ class RunAssembler:
         v = q[:, :0]
         if all(len(j.velocity) for j in joints):
             v = np.array([j.velocity[o] for j, o in zip(joints, order, strict=True)])
-        return Motion(time_s, q, v, q[:, :0], q[:, :0])
+        return Motion(time_s, q, v, q[:, :0], q[:, :0], self.subject.base)
 
     def _error(self, commanded: Motion, measured: Motion) -> Series:
         """Tracking error of the measurements whose command is known by now."""
@@ -265,8 +265,10 @@ def _joined(first: Motion, second: Motion) -> Motion:
         return second
     q = np.concatenate([first.q, second.q])
     nothing = q[:, :0]
-    return Motion(np.concatenate([first.time_s, second.time_s]), q, nothing, nothing, nothing)
+    time_s = np.concatenate([first.time_s, second.time_s])
+    return Motion(time_s, q, nothing, nothing, nothing, first.base)
 
 
 def _rows(motion: Motion, rows: Any) -> Motion:
-    return Motion(*(getattr(motion, name)[rows] for name in ("time_s", "q", "v", "a", "jerk")))
+    time_s, q, v = motion.time_s[rows], motion.q[rows], motion.v[rows]
+    return Motion(time_s, q, v, motion.a[rows], motion.jerk[rows], motion.base)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from skewmi.deploy.replay.data import REGULAR_S, Array, Motion, Series, no_motion
 from skewmi.deploy.wire.messages import JointStates
+from skewmi.robot_models.base_frame import NOMINAL_BASE, BaseFrame
 from skewmi.trajectory import TrajectoryChunk
 
 NS_PER_S = 1e9
@@ -25,7 +26,8 @@ class CommandBuffer:
     `advance` does not go further than what has been heard.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, base: BaseFrame = NOMINAL_BASE) -> None:
+        self._base = base
         self._waiting: deque[TrajectoryChunk] = deque()
         self._chunk: TrajectoryChunk | None = None
         self._shown = 0
@@ -70,7 +72,7 @@ class CommandBuffer:
         jerk = np.diff(a, axis=0, prepend=last_a[None]) / np.where(regular, step_s, np.inf)[:, None]
         self._times, self._parts = [], []
         self._last = int(time_ns[-1]), a[-1]
-        return Motion((time_ns - origin_ns) / NS_PER_S, q, v, a, jerk)
+        return Motion((time_ns - origin_ns) / NS_PER_S, q, v, a, jerk, self._base)
 
     def _show(self, before_ns: int | None) -> None:
         chunk = self._chunk

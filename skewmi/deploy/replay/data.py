@@ -13,13 +13,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from skewmi.deploy.recording.reader import LAYOUT, LIMITS, LOCK_STEP, SCENE, VARIATION
+from skewmi.deploy.recording.reader import BOX_POSE, LAYOUT, LIMITS, LOCK_STEP, SCENE, VARIATION
 from skewmi.deploy.wire.messages import Status
 from skewmi.deploy.wire.scene_geometry import SceneGeometry
 from skewmi.deploy.wire.simulation_status import ScenePose
 from skewmi.errors import ConfigurationError
 from skewmi.policy_io import PolicyLayout
-from skewmi.robot_models import frames
+from skewmi.robot_models.base_frame import NOMINAL_BASE, BaseFrame, BoxPose, base_of
 from skewmi.robot_models.kinematics import ArmKinematics
 
 Array = NDArray[np.float64]
@@ -42,11 +42,13 @@ class Motion:
     """rad/s^2. Shape (n, 7); (n, 0) if unknown."""
     jerk: Array
     """rad/s^3, over the interval that ends at each sample. Shape (n, 7) or (n, 0)."""
+    base: BaseFrame = NOMINAL_BASE
+    """The robot base in the task's frame, "world" here."""
 
     @cached_property
     def hand_w(self) -> Array:
         """Flange in world, m. Shape (n, 3)."""
-        return np.asarray(self._flange[0] + frames.BASE_IN_WORLD)
+        return self.base.to_task(self._flange[0])
 
     def tilt_deg(self, hold_wxyz: tuple[float, ...]) -> Array:
         """Angle between the flange and how it is to be held.
@@ -57,7 +59,8 @@ class Motion:
         Returns:
             Degrees. Shape (n,).
         """
-        trace = np.einsum("nij,ij->n", self._flange[1], rotation_of(hold_wxyz))
+        rotation = self.base.rotations_to_task(self._flange[1])
+        trace = np.einsum("nij,ij->n", rotation, rotation_of(hold_wxyz))
         tilt: Array = np.degrees(np.arccos(np.clip((trace - 1.0) / 2.0, -1.0, 1.0)))
         return tilt
 
@@ -106,6 +109,8 @@ class Subject:
     geometry: SceneGeometry | None
     lock_step: bool = False
     """Whether robot and session wait for each other."""
+    base: BaseFrame = NOMINAL_BASE
+    """The robot base in the task's frame: elsewhere than usual if the box was known to be."""
     variation: str = ""
     """What a simulated robot was told to vary; empty if nothing."""
 
@@ -125,6 +130,7 @@ class Subject:
             layout=None if layout is None else PolicyLayout.from_json(layout),
             limits=_limits(metadata.get(LIMITS), source),
             geometry=None if scene is None else SceneGeometry.from_json(scene),
+            base=base_frame(metadata, source),
             lock_step=metadata.get(LOCK_STEP) == str(True),
             variation=metadata.get(VARIATION, ""),
         )
@@ -197,8 +203,24 @@ def tracking_error(commanded: Motion, measured: Motion) -> Series:
     time_s, hand = measured.time_s[during], commanded.hand_w
     at_measured = [np.interp(time_s, commanded.time_s, hand[:, axis]) for axis in range(3)]
     nothing = measured.q[during, :0]
-    compared = Motion(time_s, measured.q[during], nothing, nothing, nothing)
+    compared = Motion(time_s, measured.q[during], nothing, nothing, nothing, measured.base)
     return Series(time_s, names, np.column_stack(at_measured) - compared.hand_w)
+
+
+def base_frame(metadata: Mapping[str, str], source: str) -> BaseFrame:
+    """The robot base in the task's frame, from where a run knew the task's box to stand.
+
+    Args:
+        metadata: Of a recording, or as handed to a live view.
+        source: Where it comes from, for messages.
+
+    Raises:
+        ConfigurationError: It cannot be read.
+    """
+    try:
+        return base_of(BoxPose.of_mapping(json.loads(metadata.get(BOX_POSE, "{}"))))
+    except (ValueError, TypeError, AttributeError, ConfigurationError) as error:
+        raise ConfigurationError(f"the box's pose in {source} is unreadable: {error}") from error
 
 
 def _limits(text: str | None, source: str) -> dict[str, Array]:

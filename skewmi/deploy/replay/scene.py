@@ -14,7 +14,8 @@ import rerun as rr
 from skewmi.deploy.replay.data import Motion, Run, Series
 from skewmi.deploy.replay.style import BOX, COMMANDED, MEASURED, TIMELINE, Array, Canvas
 from skewmi.policy_io import Workspace
-from skewmi.robot_models import frames, yumi
+from skewmi.robot_models import yumi
+from skewmi.robot_models.base_frame import BaseFrame
 from skewmi.robot_models.urdf import build_urdf
 
 _JUMP = 0.03
@@ -27,11 +28,13 @@ class RobotView:
     Args:
         canvas: Where to draw.
         name: What it shows; part of its entities' paths.
+        base: Where it stands in the task's frame.
         ghost: See above.
     """
 
-    def __init__(self, canvas: Canvas, name: str, *, ghost: bool) -> None:
+    def __init__(self, canvas: Canvas, name: str, base: BaseFrame, *, ghost: bool) -> None:
         self._canvas, self._name, self._ghost = canvas, name, ghost
+        self._base = base
         self._tree: Any = None
 
     def draw(self, motion: Motion, fingers: Series) -> None:
@@ -56,7 +59,7 @@ class RobotView:
         """Log the shapes, once."""
         if self._tree is not None:
             return
-        self._tree = _log_shapes(self._canvas.recording, self._name, ghost=self._ghost)
+        self._tree = _log_shapes(self._canvas.recording, self._name, self._base, ghost=self._ghost)
         if not self._ghost:
             for joint, value in zip(yumi.joint_names("left"), yumi.HOME["left"], strict=True):
                 found = self._tree.get_joint_by_name(joint)
@@ -72,7 +75,7 @@ class RobotView:
         self._canvas.columns(f"/robot_{self._name}/joints/{joint}", time_s, columns)
 
 
-def _log_shapes(recording: Any, name: str, *, ghost: bool) -> Any:
+def _log_shapes(recording: Any, name: str, base: BaseFrame, *, ghost: bool) -> Any:
     """Shapes and frames of the robot; the URDF's tree."""
     text = build_urdf(arms=("right",)) if ghost else build_urdf()
     if ghost:
@@ -94,7 +97,8 @@ def _log_shapes(recording: Any, name: str, *, ghost: bool) -> Any:
     recording.log(
         f"/robot_{name}/base",
         rr.Transform3D(
-            translation=frames.BASE_IN_WORLD,
+            translation=base.position,
+            mat3x3=base.rotation,
             parent_frame="tf#/",
             child_frame=f"{name}/{yumi.BODY_NAME}",
         ),

@@ -42,8 +42,8 @@ class RunView:
         canvas = self._canvas = Canvas(recording)
         canvas.style("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         workspace = None if subject.layout is None else subject.layout.workspace
-        self._measured = RobotView(canvas, "measured", ghost=False)
-        self._commanded = RobotView(canvas, "commanded", ghost=True)
+        self._measured = RobotView(canvas, "measured", subject.base, ghost=False)
+        self._commanded = RobotView(canvas, "commanded", subject.base, ghost=True)
         self._paths = PathView(canvas, workspace, trail=live)
         self._scene = None if subject.geometry is None else SceneView(canvas, subject.geometry)
         self._joints = JointCurves(canvas, subject.limits, live=live)
@@ -80,7 +80,10 @@ class RunView:
             motion = Motion(
                 np.concatenate([run.measured.time_s[held], motion.time_s]),
                 np.concatenate([run.measured.q[held], motion.q]),
-                *[nothing] * 3,
+                nothing,
+                nothing,
+                nothing,
+                self._subject.base,
             )
         self._commanded.draw(motion, run.fingers)
 

@@ -95,8 +95,8 @@ def agree_on_box(known: Calibration | None, described: RobotDescription) -> BoxP
     mine = BoxPose(*ours, *((0.0, 0.0) if theirs is None else (theirs.origin_x, theirs.origin_y)))
     if theirs is None:
         raise ConfigurationError(
-            f"{mine.words}, and the robot server works as if it stood at its place: restart it with "
-            "the same --calibration, or give this session none of the scene"
+            f"{mine.words}, and the robot server works as if it stood at its place: restart it "
+            "with the same --calibration, or give this session none of the scene"
         )
     if mine != theirs:
         raise ConfigurationError(

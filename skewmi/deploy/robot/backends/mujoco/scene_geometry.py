@@ -49,7 +49,7 @@ class Standing:
         """Whether a body is told where the nominal model has it."""
         if self.base == NOMINAL_BASE:
             return True
-        return model.body(int(model.body_rootid[body])).name == self.box_body
+        return str(model.body(int(model.body_rootid[body])).name) == self.box_body
 
 
 _NOMINAL = Standing()
