@@ -24,6 +24,7 @@ FORBIDDEN: dict[str, tuple[str, ...]] = {
         "skewmi.sim",
         "skewmi.deploy",
     ),
+    "skewmi.box_frame": ("torch", "pinocchio", "mink", "zenoh", "skewmi.sim", "skewmi.deploy"),
     "skewmi.robot_models": (
         "torch",
         "pinocchio",

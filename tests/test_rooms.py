@@ -20,6 +20,7 @@ ROOMS: dict[str, set[str]] = {
     "motion": {"policy_io", "robot_models", "deploy.safety"},
     "robot": {
         "policy_io",
+        "box_frame",
         "robot_models",
         "calibration",
         "contact",
@@ -32,6 +33,7 @@ ROOMS: dict[str, set[str]] = {
     },
     "session": {
         "policy_io",
+        "box_frame",
         "robot_models",
         "calibration",
         "command_integrator",

@@ -149,7 +149,7 @@ class BoxPose:
     def __post_init__(self) -> None:
         if not np.isfinite((self.x, self.y, self.yaw_deg, self.origin_x, self.origin_y)).all():
             raise ConfigurationError(
-                f"{self.words}, about {self.origin_x}, {self.origin_y} m; all numbers must be finite"
+                f"{self.words}, about {self.origin_x}, {self.origin_y} m: not finite numbers all"
             )
         if max(abs(self.x), abs(self.y)) > LARGEST_SHIFT or abs(self.yaw_deg) > LARGEST_TURN_DEG:
             raise ConfigurationError(

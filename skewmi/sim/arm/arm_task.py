@@ -104,6 +104,13 @@ class ArmTask:
         if self.targets and self.success not in self.targets.values():
             raise ConfigurationError(f"task {self.name!r}: its success is none of its targets")
 
+    def box_origin(self, model: mujoco.MjModel) -> tuple[float, float] | None:
+        """Middle of the box in the nominal model, m; None if there is none to find the place of."""
+        if not self.box_body:
+            return None
+        x, y, _ = model.body(self.box_body).pos.tolist()
+        return x, y
+
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the scene's joints."""

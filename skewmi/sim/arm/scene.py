@@ -108,7 +108,7 @@ class ArmScene:
             if geom.contype == 0 and geom.conaffinity == 0:
                 spec.delete(geom)
         self.physics_model: mujoco.MjModel = spec.compile()
-        self.box = box_pose(displacement, box_origin(task, self.model), task.name)
+        self.box = box_pose(displacement, task.box_origin(self.model), task.name)
         self.base = base_of(self.box)
         self.kinematics = kinematics.ArmKinematics("right")
         joints = yumi.joint_names("right")
@@ -151,11 +151,7 @@ class ArmScene:
         return self.base.to_task(position), self.base.rotations_to_task(rotation)
 
     def placed(self, layout: PolicyLayout) -> PolicyLayout:
-        """A layout with the robot where it is in the known box's frame; its hash is another.
-
-        Raises:
-            ConfigurationError: The task cannot be done there.
-        """
+        """A layout with the robot where it is in the known box's frame, see `box_frame.placed`."""
         return replace(layout, workspace=placed(workspace_of(layout), self.box))
 
     def observation_values(self, qpos: Array, hand_position_w: Array) -> dict[str, Array]:
@@ -287,14 +283,6 @@ class ArmScene:
         hand_position_w, _ = self.hand_pose(data.qpos)
         values = self.observation_values(data.qpos, hand_position_w)
         return {name: float(value) for name, value in values.items()}
-
-
-def box_origin(task: ArmTask, model: mujoco.MjModel) -> tuple[float, float] | None:
-    """Middle of a task's box in the nominal model, m; None if the task has none."""
-    if not task.box_body:
-        return None
-    x, y, _ = model.body(task.box_body).pos.tolist()
-    return x, y
 
 
 def workspace_of(layout: PolicyLayout) -> Workspace:
