@@ -6,6 +6,7 @@ Simulation, session and robot server all place a workspace here.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,7 +16,9 @@ from skewmi.policy_io import Array, Workspace
 from skewmi.robot_models.base_frame import BaseFrame, BoxPose
 from skewmi.robot_models.frames import rotation_from_quaternion
 from skewmi.robot_models.kinematics import ArmKinematics, require_converged
-from skewmi.robot_models.start_search import HandRoom, Rating, rate
+
+if TYPE_CHECKING:
+    from skewmi.robot_models.start_search import Rating
 
 LEAST_JOINT_MARGIN = np.radians(5.0)
 """That every joint keeps to its bounds in the whole box, rad."""
@@ -106,6 +109,9 @@ def placed(workspace: Workspace, box: BoxPose | None) -> Workspace:
 def _require_room(
     box: BoxPose, workspace: Workspace, base: BaseFrame, rotation: Array, start: Array
 ) -> None:
+    # MuJoCo, which who never meets a displaced box does without.
+    from skewmi.robot_models.start_search import HandRoom, rate
+
     room = HandRoom(workspace.start, workspace.low, workspace.high)
     found = rate(start[None], room=room, base=base, rotation=rotation)
     if not found.reached[0]:

@@ -36,8 +36,8 @@ def scene_obstacles(
 ) -> tuple[Obstacle, ...]:
     """One box around all that stands still, and one around what moves with each joint.
 
-    Sides are along the base's axes; joints of the scene are at zero (a lid is shut). A box within
-    another one is left out, and so is the table, which the guard knows by itself.
+    Sides are along the axes of the shapes' frame; joints of the scene are at zero (a lid is shut).
+    A box within another one is left out, and so is the table, which the guard knows by itself.
 
     Args:
         shapes: Of the scene.
@@ -58,7 +58,7 @@ def scene_obstacles(
     for joint, (low, high) in sorted(bounds.items(), key=_volume, reverse=True):
         if not any((outer <= low).all() and (high <= top).all() for _, outer, top in kept):
             kept.append((f"scene at {joint}" if joint else "scene", low, high))
-    return tuple(_obstacle(name, low - margin, high + margin) for name, low, high in kept)
+    return tuple(_obstacle(name, low - margin, high + margin, base) for name, low, high in kept)
 
 
 def _volume(box: tuple[str, tuple[Array, Array]]) -> float:
@@ -67,13 +67,14 @@ def _volume(box: tuple[str, tuple[Array, Array]]) -> float:
 
 
 def _extent(shape: Shape, base: BaseFrame) -> tuple[Array, Array]:
-    rotation = base.rotations_to_base(rotation_from_quaternion(shape.quaternion_wxyz))
+    """Corners from the robot base on, along the axes of the shapes' frame."""
+    rotation = rotation_from_quaternion(shape.quaternion_wxyz)
     half = np.abs(rotation) @ np.array(shape.half_size, dtype=np.float64)
-    centre = base.to_base(shape.position)
+    centre = np.array(shape.position) - base.position
     return centre - half, centre + half
 
 
-def _obstacle(name: str, low: Array, high: Array) -> Obstacle:
-    x, y, z = ((low + high) / 2.0).tolist()
+def _obstacle(name: str, low: Array, high: Array, base: BaseFrame) -> Obstacle:
+    x, y, z = base.vectors_to_base((low + high) / 2.0).tolist()
     half_x, half_y, half_z = ((high - low) / 2.0).tolist()
-    return Obstacle((x, y, z), (half_x, half_y, half_z), name=name)
+    return Obstacle((x, y, z), (half_x, half_y, half_z), -base.yaw, name)
