@@ -63,7 +63,7 @@ def test_the_middle_of_an_interval_counts_however_wide_it_is() -> None:
 
 def test_a_task_without_a_box_refuses_the_place_of_one() -> None:
     assert box_pose(None, None, "door_open") is None
-    with pytest.raises(ConfigurationError, match="door_open.*without that section"):
+    with pytest.raises(ConfigurationError, match=r"door_open.*without that section"):
         box_pose((0.01, 0.0, 0.0), None, "door_open")
 
 

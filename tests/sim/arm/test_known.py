@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from calibrations import full_calibration
+from moved_boxes import found_at
 from unknown_robots import exact_calibration
 
 from skewmi.calibration.calibration_file import Calibration, Constant, write_calibration
@@ -73,7 +73,7 @@ def test_the_targets_are_the_law_of_the_commanded_lines() -> None:
 
 def test_without_a_calibration_of_servos_nothing_changes() -> None:
     known = exact_calibration()
-    scene_alone = Calibration(known.created, known.version, scene=full_calibration().scene)
+    scene_alone = Calibration(known.created, known.version, scene=found_at(0.0, 0.0, 0.0))
     for variation in (None, {"servo": {"delay_ms": 10}}):
         nominal, scene = followed(None, variation), followed(scene_alone, variation)
         np.testing.assert_array_equal(nominal[1], scene[1])
@@ -114,9 +114,8 @@ def test_the_lid_is_read_from_its_zero_and_nothing_else_is(measured: bool) -> No
     known = exact_calibration()
     if measured:
         bias = Constant((8.0,), (8.0,), (8.0,), (False,))
-        scene = full_calibration().scene
-        assert scene is not None
-        known = dataclasses.replace(known, scene=dataclasses.replace(scene, lid_bias_deg=bias))
+        scene = dataclasses.replace(found_at(0.0, 0.0, 0.0), lid_bias_deg=bias)
+        known = dataclasses.replace(known, scene=scene)
     seen = {}
     for calibration in (None, known):
         env = ArmBatch(
@@ -131,10 +130,8 @@ def test_the_lid_is_read_from_its_zero_and_nothing_else_is(measured: bool) -> No
 
 
 def test_a_known_bias_is_taken_off_though_the_sensor_is_ideal() -> None:
-    scene = full_calibration().scene
-    assert scene is not None
     bias = Constant((5.0,), (5.0,), (5.0,), (False,))
-    scene = dataclasses.replace(scene, lid_bias_deg=bias)
+    scene = dataclasses.replace(found_at(0.0, 0.0, 0.0), lid_bias_deg=bias)
     known = dataclasses.replace(exact_calibration(), scene=scene)
     env = ArmBatch(ARM, 1, num_threads=1, calibration=known)
     assert env.reset()[0, LID] == pytest.approx(-np.radians(5.0))

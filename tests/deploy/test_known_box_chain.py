@@ -1,0 +1,98 @@
+"""The whole chain before a box that stands elsewhere: known to both sides, to one, to none."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from moved_boxes import Displacement, calibration_at, hand_by_mujoco
+from robot_servers import describe
+from scripted_runs import FewSteps, Scripted, give_up
+
+from skewmi.calibration.calibration_file import write_calibration
+from skewmi.deploy.options import DeployOptions
+from skewmi.deploy.recording.reader import read_recording
+from skewmi.deploy.replay.assembler import understand
+from skewmi.deploy.robot.process import spawn_robot
+from skewmi.deploy.run import run_deploy
+from skewmi.deploy.wire import topics
+from skewmi.deploy.wire.messages import decode_joint_states
+from skewmi.errors import ConfigurationError
+from skewmi.robot_models.base_frame import BoxPose
+
+AT: Displacement = (0.02, -0.012, 8.0)
+
+
+@pytest.fixture
+def known(tmp_path: Path) -> Path:
+    return write_calibration(tmp_path / "known.yaml", calibration_at(*AT))
+
+
+def varied(displacement: Displacement) -> str:
+    return json.dumps({"box_pose": dict(zip(("x", "y", "yaw_deg"), displacement, strict=True))})
+
+
+def test_a_known_displaced_box_works_as_one_in_place(known: Path, tmp_path: Path) -> None:
+    """And the recording shows where the hand really was before it."""
+    path = tmp_path / "run.mcap"
+    options = DeployOptions(
+        seed=3, lock_step=True, variation=varied(AT), calibration=known, record=path
+    )
+    report = run_deploy(Scripted(), options)
+    assert report.success_rate == 1.0, report.as_dict()
+    assert report.stops == []
+    assert report.missed_cycles == 0
+
+    recording = read_recording(path)
+    assert BoxPose.of_mapping(json.loads(recording.metadata["box_pose"])) is not None
+    run = understand(recording)
+    for k in range(0, len(run.measured.time_s), 50):
+        hand, turn = hand_by_mujoco(run.measured.q[k], AT)
+        np.testing.assert_allclose(run.measured.hand_w[k], hand, atol=1e-9)
+        assert turn[2, 2] < -0.99
+    tilt = run.measured.tilt_deg(Scripted().layout.workspace.hand_quaternion_wxyz)  # type: ignore[union-attr]
+    assert np.median(tilt) < 2.0
+    seen = [decode_joint_states(m.payload) for m in recording.messages[topics.POLICY_OBSERVATION.name]]
+    measured = run.measured.hand_w
+    for state in seen:
+        hand = np.array([state.position[state.names.index(f"hand_{a}")] for a in "xyz"])
+        assert np.linalg.norm(measured - hand, axis=1).min() < 1e-9, "of some measured state"
+    # Described where it is known to stand, and it stands there: nothing is drawn elsewhere.
+    assert all(not placement.poses for placement in run.placements)
+    walls = {part.name: part for part in run.subject.geometry.parts}  # type: ignore[union-attr]
+    np.testing.assert_allclose(walls["box_wall_near"].position, (-0.1135, -0.0735, 0.0415))
+    table = walls["work_surface"]
+    base = run.subject.base
+    np.testing.assert_allclose(base.to_base(table.position), (0.45, 0.0, -0.05), atol=1e-9)
+
+
+def test_both_sides_have_to_know_of_the_box_before_the_arm_is_armed(
+    known: Path, tmp_path: Path
+) -> None:
+    other = write_calibration(tmp_path / "other.yaml", calibration_at(0.021, -0.012, 8.0))
+    policy = FewSteps(3, give_up)
+    with spawn_robot("sim", "open_press_close", "lab", lock_step=True, calibration=known) as robot:
+        before = describe(robot)
+        assert before.box == BoxPose(*AT, -0.009, -0.0735)
+        assert before.calibration == "", "no servos are known"
+        for calibration, why in ((None, "this session with none"), (other, r"at \+20.000 mm")):
+            options = DeployOptions(connect=robot, lock_step=True, calibration=calibration)
+            with pytest.raises(ConfigurationError, match=why):
+                run_deploy(policy, options)
+        assert describe(robot).state == "disarmed"
+        assert policy.count == 0
+        np.testing.assert_array_equal(describe(robot).commanded_position, before.commanded_position)
+        options = DeployOptions(connect=robot, lock_step=True, calibration=known)
+        assert run_deploy(policy, options).stops == ["enough"]
+
+
+def test_a_robot_server_that_knows_of_no_box_refuses_who_does(
+    known: Path, lock_step_robot: str
+) -> None:
+    options = DeployOptions(connect=lock_step_robot, lock_step=True, calibration=known)
+    with pytest.raises(ConfigurationError, match="as if it stood at its place"):
+        run_deploy(FewSteps(3, give_up), options)
+    assert describe(lock_step_robot).box_pose == {}
+    assert "yaw" not in describe(lock_step_robot).workspaces["task"]
