@@ -52,16 +52,20 @@ def test_a_known_displaced_box_works_as_one_in_place(known: Path, tmp_path: Path
         hand, turn = hand_by_mujoco(run.measured.q[k], AT)
         np.testing.assert_allclose(run.measured.hand_w[k], hand, atol=1e-9)
         assert turn[2, 2] < -0.99
-    tilt = run.measured.tilt_deg(Scripted().layout.workspace.hand_quaternion_wxyz)  # type: ignore[union-attr]
+    workspace = Scripted().layout.workspace
+    assert workspace is not None
+    tilt = run.measured.tilt_deg(workspace.hand_quaternion_wxyz)
     assert np.median(tilt) < 2.0
-    seen = [decode_joint_states(m.payload) for m in recording.messages[topics.POLICY_OBSERVATION.name]]
+    observed = recording.messages[topics.POLICY_OBSERVATION.name]
+    seen = [decode_joint_states(message.payload) for message in observed]
     measured = run.measured.hand_w
     for state in seen:
         hand = np.array([state.position[state.names.index(f"hand_{a}")] for a in "xyz"])
         assert np.linalg.norm(measured - hand, axis=1).min() < 1e-9, "of some measured state"
     # Described where it is known to stand, and it stands there: nothing is drawn elsewhere.
     assert all(not placement.poses for placement in run.placements)
-    walls = {part.name: part for part in run.subject.geometry.parts}  # type: ignore[union-attr]
+    assert run.subject.geometry is not None
+    walls = {part.name: part for part in run.subject.geometry.parts}
     np.testing.assert_allclose(walls["box_wall_near"].position, (-0.1135, -0.0735, 0.0415))
     table = walls["work_surface"]
     base = run.subject.base
