@@ -65,7 +65,7 @@ def one_controller(seed: int, number: int, seconds: float, episodes: int) -> dic
             row["scene"] = command(
                 "calibrate", "scene", *at, "--calibration", servo, "--out", known
             )
-        with chain(lag_ms, 1.0, ["--calibration", servo], file) as locator:
+        with chain(lag_ms, 1.0, ["--calibration", known], file) as locator:
             progress(f"controller {number}: deploy")
             flags = ("--episodes", str(episodes), "--seed", str(seed), "--calibration", known)
             told = command("deploy", "open_press_close", "--connect", locator, *flags)
