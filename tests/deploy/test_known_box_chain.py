@@ -12,6 +12,7 @@ from robot_servers import describe
 from scripted_runs import FewSteps, Scripted, give_up
 
 from skewmi.calibration.calibration_file import write_calibration
+from skewmi.cli.main import main
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.recording.reader import read_recording
 from skewmi.deploy.replay.assembler import understand
@@ -21,6 +22,7 @@ from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.messages import decode_joint_states
 from skewmi.errors import ConfigurationError
 from skewmi.robot_models.base_frame import BoxPose
+from skewmi.robot_models.frames import HAND_DOWN
 
 AT: Displacement = (0.02, -0.012, 8.0)
 
@@ -100,3 +102,44 @@ def test_a_robot_server_that_knows_of_no_box_refuses_who_does(
         run_deploy(FewSteps(3, give_up), options)
     assert describe(lock_step_robot).box_pose == {}
     assert "yaw" not in describe(lock_step_robot).workspaces["task"]
+
+
+def test_the_arm_is_led_to_the_start_before_the_known_box(
+    known: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with spawn_robot(
+        "sim",
+        "open_press_close",
+        "lab",
+        lock_step=True,
+        variation=varied(AT),
+        calibration=known,
+    ) as robot:
+        run_deploy(
+            FewSteps(12, give_up),
+            DeployOptions(connect=robot, lock_step=True, calibration=known, start_spread=0.0),
+        )
+        where = ["--connect", robot, "--lock-step", "--json"]
+        assert main(["home", *where]) == 0
+        told = json.loads(capsys.readouterr().out.splitlines()[-1])
+        hand, turn = hand_by_mujoco(np.array(told["joints_rad"]), AT)
+        np.testing.assert_allclose(hand, (-0.009, -0.1345, 0.270), atol=2e-3)
+        np.testing.assert_allclose(turn, HAND_DOWN, atol=0.02)
+        commanded = np.array(describe(robot).commanded_position)
+        np.testing.assert_allclose(hand_by_mujoco(commanded, AT)[0], (-0.009, -0.1345, 0.270))
+        # Steps in the task's workspace end where the displaced box ends.
+        assert main(["jog", "--x", "40", "--workspace", "task", *where]) == 2
+        assert "outside" in capsys.readouterr().err
+
+
+def test_to_touch_a_box_that_is_known_is_refused_before_anything_moves(
+    known: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "found.yaml"
+    with spawn_robot("sim", "open_press_close", "lab", lock_step=True, calibration=known) as robot:
+        before = describe(robot).commanded_position
+        where = ["--connect", robot, "--lock-step", "--json", "--out", str(out)]
+        assert main(["calibrate", "scene", *where]) == 2
+        assert "has no section scene" in capsys.readouterr().err
+        assert describe(robot).commanded_position == before
+    assert not out.exists()
