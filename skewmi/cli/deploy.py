@@ -61,7 +61,8 @@ class DeployCommand:
     episode draws by its own seed."""
     calibration: Path | None = None
     """What is known of the robot and its scene, whatever they are: a calibration file (YAML) of
-    `skewmi calibrate`. The robot that is started gets it, too; give a running one the same."""
+    `skewmi calibrate`. The robot that is started gets it, too; give a running one the same, or it
+    is refused if the two have the box at different places."""
     episodes: int = 1
     """How many."""
     seed: int = 0

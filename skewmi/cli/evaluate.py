@@ -56,7 +56,7 @@ class EvaluateCommand:
     one that comes with the task, as `randomised`."""
     calibration: Path | None = None
     """What is known of the robot, whatever it is: a calibration file (YAML) of `skewmi calibrate`.
-    Its servos get feed-forward from it."""
+    Its servos get feed-forward from it, and the policy works in the frame of the box it knows."""
     option: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """Option of the task, NAME=VALUE with VALUE in JSON, as start_noise=0.3; may be repeated."""
     json: bool = False

@@ -56,7 +56,8 @@ class RobotCommand:
     one that comes with the task, as `randomised`."""
     calibration: Path | None = None
     """What is known of the robot, whatever it is: a calibration file (YAML) of `skewmi calibrate`.
-    Its servos get feed-forward from it, behind the checks and within the same limits."""
+    Its servos get feed-forward from it, behind the checks and within the same limits, and the
+    task's workspace stands where its box does. Sessions have to know the same of the box."""
     listen: str | None = None
     """Zenoh locator to listen on; by default what --zenoh-config says, else tcp/127.0.0.1:7447."""
     domain: int | None = None

@@ -92,7 +92,8 @@ class TrainCommand(Origin):
     keeps it."""
     calibration: Path | None = None
     """What is known of the robot, whatever it is: a calibration file (YAML) of `skewmi calibrate`.
-    Its servos get feed-forward from it. Saved and kept like the variation."""
+    Its servos get feed-forward from it, and the policy works in the frame of the box it knows.
+    Saved and kept like the variation."""
     threads: int | None = None
     """Threads of the tensor library and of the simulation; default: 1."""
     device: Literal["cpu", "cuda"] | None = None

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from moved_boxes import Displacement, calibration_at, hand_by_mujoco
+from moved_boxes import Displacement, base_in_box, calibration_at, hand_by_mujoco
+from rerun.chunk import RrdReader
 from robot_servers import describe
 from scripted_runs import FewSteps, Scripted, give_up
 
@@ -16,11 +17,13 @@ from skewmi.cli.main import main
 from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.recording.reader import read_recording
 from skewmi.deploy.replay.assembler import understand
+from skewmi.deploy.replay.replay import write_replay
 from skewmi.deploy.robot.process import spawn_robot
 from skewmi.deploy.run import run_deploy
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.messages import decode_joint_states
 from skewmi.errors import ConfigurationError
+from skewmi.policy_io import Array
 from skewmi.robot_models.base_frame import BoxPose
 from skewmi.robot_models.frames import HAND_DOWN
 
@@ -34,6 +37,22 @@ def known(tmp_path: Path) -> Path:
 
 def varied(displacement: Displacement) -> str:
     return json.dumps({"box_pose": dict(zip(("x", "y", "yaw_deg"), displacement, strict=True))})
+
+
+def drawn_base(recording: Path, out: Path) -> Array:
+    """Where a replay draws the measured robot. Shape (4, 4)."""
+    write_replay(recording, out)
+    for chunk in RrdReader(out).stream().to_chunks():
+        if str(chunk.entity_path) == "/robot_measured/base":
+            table = chunk.to_record_batch().to_pydict()
+            found = np.eye(4)
+            for name, value in table.items():
+                if name.endswith("mat3x3"):
+                    found[:3, :3] = np.reshape(value, (3, 3)).T  # column by column
+                if name.endswith("translation"):
+                    found[:3, 3] = np.ravel(value)
+            return found
+    raise AssertionError("no robot is drawn")
 
 
 def test_a_known_displaced_box_works_as_one_in_place(known: Path, tmp_path: Path) -> None:
@@ -69,6 +88,8 @@ def test_a_known_displaced_box_works_as_one_in_place(known: Path, tmp_path: Path
     assert run.subject.geometry is not None
     walls = {part.name: part for part in run.subject.geometry.parts}
     np.testing.assert_allclose(walls["box_wall_near"].position, (-0.1135, -0.0735, 0.0415))
+    drawn = drawn_base(path, tmp_path / "run.rrd")
+    np.testing.assert_allclose(drawn, base_in_box(AT), atol=1e-6)
     table = walls["work_surface"]
     base = run.subject.base
     np.testing.assert_allclose(base.to_base(table.position), (0.45, 0.0, -0.05), atol=1e-9)

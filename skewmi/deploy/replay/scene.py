@@ -98,7 +98,7 @@ def _log_shapes(recording: Any, name: str, base: BaseFrame, *, ghost: bool) -> A
         f"/robot_{name}/base",
         rr.Transform3D(
             translation=base.position,
-            mat3x3=base.rotation,
+            mat3x3=None if base.yaw == 0.0 else base.rotation,
             parent_frame="tf#/",
             child_frame=f"{name}/{yumi.BODY_NAME}",
         ),
