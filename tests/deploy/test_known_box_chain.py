@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from moved_boxes import Displacement, base_in_box, calibration_at, hand_by_mujoco
 from rerun.chunk import RrdReader
-from robot_servers import describe
+from robot_servers import describe, robot_in_a_thread
 from scripted_runs import FewSteps, Scripted, give_up
 
 from skewmi.calibration.calibration_file import write_calibration
@@ -18,6 +18,7 @@ from skewmi.deploy.options import DeployOptions
 from skewmi.deploy.recording.reader import read_recording
 from skewmi.deploy.replay.assembler import understand
 from skewmi.deploy.replay.replay import write_replay
+from skewmi.deploy.robot import server as server_module
 from skewmi.deploy.robot.process import spawn_robot
 from skewmi.deploy.run import run_deploy
 from skewmi.deploy.wire import topics
@@ -164,3 +165,21 @@ def test_to_touch_a_box_that_is_known_is_refused_before_anything_moves(
         assert "has no section scene" in capsys.readouterr().err
         assert describe(robot).commanded_position == before
     assert not out.exists()
+
+
+def test_a_box_that_is_elsewhere_before_the_next_episode_ends_the_run(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As of a robot server that was started again with another calibration."""
+
+    def on_event(text: str) -> None:
+        if text.startswith("episode 1"):
+            moved = BoxPose(0.01, 0.0, 0.0, -0.009, -0.0735)
+            monkeypatch.setattr(server_module, "told_box", lambda _: moved)
+
+    with robot_in_a_thread(lock_step=True) as robot:
+        policy = FewSteps(5, give_up)
+        options = DeployOptions(episodes=2, connect=robot, lock_step=True)
+        report = run_deploy(policy, options, on_event=on_event)
+    assert policy.count == 5, "the second episode has begun"
+    assert "elsewhere than before" in report.episodes[1].reason

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import itertools
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from moved_boxes import ORIGIN, Displacement, hand_by_mujoco
+from moved_boxes import ORIGIN, Displacement, base_in_box, hand_by_mujoco
 from planned_runs import follow
 
 from skewmi.box_frame import placed
 from skewmi.deploy.motion.differential_ik import DifferentialIk
+from skewmi.deploy.motion.hand_bounds import derive_hand_bounds
 from skewmi.deploy.motion.planner import Planner
 from skewmi.policy_io import Array, Workspace
 from skewmi.robot_models import limits
 from skewmi.robot_models.base_frame import BoxPose
 from skewmi.robot_models.frames import HAND_DOWN, rotation_vector
+from skewmi.robot_models.kinematics import ArmKinematics
 from skewmi.sim.tasks.open_press_close.definition import make_layout
 
 LAB = limits.profile("lab")
@@ -122,3 +127,48 @@ def test_a_late_splice_goes_on_in_the_displaced_box(late: int) -> None:
     # Straight on, with what the stop has taken: nothing sideways.
     aside = np.abs(position - goal)[:, [0, 2]]
     assert aside.max() < 1.5e-3
+
+
+def test_where_planning_resumes_the_hand_moves_along_the_axes_of_the_box() -> None:
+    displacement = DISPLACEMENTS[0]
+    planner = planner_before(displacement)
+    planner.set_target(np.array(planner.workspace.start) + np.array([0.0, 0.1, 0.05]), 0.7)
+    for _ in range(15):
+        chunk = planner.step()
+    q, v, _ = chunk.point(8)
+    planner._resume(chunk, 8)
+    ahead, _ = hand_by_mujoco(q + 1e-6 * v, displacement)
+    behind, _ = hand_by_mujoco(q - 1e-6 * v, displacement)
+    moves = (ahead - behind) / 2e-6
+    assert np.linalg.norm(moves) > 0.05
+    np.testing.assert_allclose(planner._hand.velocity_w, moves, atol=1e-6)
+    np.testing.assert_allclose(planner._hand.position_w, hand_by_mujoco(q, displacement)[0])
+
+
+@pytest.mark.parametrize("displacement", DISPLACEMENTS)
+def test_bounds_of_the_hand_are_those_of_the_arm_before_the_displaced_box(
+    displacement: Displacement,
+) -> None:
+    planner = planner_before(displacement)
+    workspace = planner.workspace
+    arm = ArmKinematics("right")
+    to_base = np.linalg.inv(base_in_box(displacement))
+    corners = itertools.product(*zip(workspace.low, workspace.high, strict=True))
+    most = np.zeros(7)
+    for corner in (*corners, workspace.start):
+        position = (to_base @ (*corner, 1.0))[:3]
+        start = np.array(workspace.start_configuration)
+        q = arm.inverse(position, to_base[:3, :3] @ HAND_DOWN, start, max_iterations=50).q
+        needed = np.linalg.pinv(arm.jacobian(q))[:, :3]
+        most = np.maximum(most, np.linalg.norm(needed, axis=1))
+    bounds = planner.hand_bounds
+    expected = [float((0.8 * limit / most).min()) for limit in (LAB.acceleration, LAB.jerk)]
+    assert bounds.acceleration == pytest.approx(min(2.5, expected[0]), rel=1e-4)
+    assert bounds.jerk == pytest.approx(min(40.0, expected[1]), rel=1e-4)
+    slowest = float((0.8 * LAB.velocity / most).min())
+    assert bounds.speed == pytest.approx(min(0.9 * 0.25, slowest), rel=1e-4)
+    # Of a profile so slow that the joints decide.
+    slow = replace(LAB, velocity=0.05 * LAB.velocity, jerk=0.05 * LAB.jerk)
+    found = derive_hand_bounds(workspace, arm, slow, 0.25)
+    assert found.speed == pytest.approx(0.05 * slowest, rel=1e-4)
+    assert found.jerk == pytest.approx(0.05 * expected[1], rel=1e-4)

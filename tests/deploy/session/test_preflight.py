@@ -6,7 +6,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from moved_boxes import ORIGIN, Displacement, hand_by_mujoco
 
+from skewmi.box_frame import placed
 from skewmi.deploy.safety.checks import ChunkChecks
 from skewmi.deploy.safety.guard import Guard
 from skewmi.deploy.session.preflight import check_way, draw_start
@@ -15,6 +17,8 @@ from skewmi.errors import (
 )
 from skewmi.robot_models import limits as joint_limits
 from skewmi.robot_models import yumi
+from skewmi.robot_models.base_frame import BoxPose
+from skewmi.robot_models.frames import HAND_DOWN
 from skewmi.robot_models.kinematics import ArmKinematics
 from skewmi.sim.tasks.open_press_close.definition import make_layout
 
@@ -37,6 +41,20 @@ def test_starts_lie_around_the_tasks_start(far: bool) -> None:
         assert np.abs(hand - np.array(workspace.start)).max() < 0.005 + 1e-4
         assert np.abs(q - posture).max() < 0.2
     assert np.ptp(starts, axis=0).min() > 1e-3
+
+
+@pytest.mark.parametrize("displacement", [(0.02, -0.012, 8.0), (-0.02, 0.02, -10.0)])
+def test_starts_before_a_displaced_box_lie_around_its_start(displacement: Displacement) -> None:
+    nominal = make_layout().workspace
+    assert nominal is not None
+    workspace = placed(nominal, BoxPose(*displacement, *ORIGIN))
+    for seed, near in enumerate((yumi.TABLE_CONFIGURATION, yumi.HOME["right"])):
+        q = draw_start(workspace, seed, 0.005, np.array(near))
+        hand, turn = hand_by_mujoco(q, displacement)
+        # The same draw as before a box in its place, in the box's frame.
+        plain = draw_start(nominal, seed, 0.005, np.array(near))
+        np.testing.assert_allclose(hand, hand_by_mujoco(plain, (0.0, 0.0, 0.0))[0], atol=1e-5)
+        np.testing.assert_allclose(turn, HAND_DOWN, atol=1e-5)
 
 
 def test_whole_way_to_the_start_is_checked_before_anything_moves() -> None:
