@@ -122,7 +122,7 @@ def test_layout_and_its_hash_are_those_of_the_policy() -> None:
 
 def test_stiffness_is_told_along_the_axes_of_the_box() -> None:
     """What moves the hand by e in the base frame is worth the same force in any axes."""
-    soft = exact_calibration(0.5, 1.0)
+    soft = exact_calibration(np.array([0.2, 0.9, 0.4, 0.8, 0.3, 1.0, 0.7]), 1.0)  # type: ignore[arg-type]
     displacement = (0.02, -0.012, 8.0)
     known = Known(calibration_at(*displacement, servo=soft))
     workspace = workspace_of(ArmScene(ARM, known.displacement).placed(ARM.layout()))
@@ -134,6 +134,7 @@ def test_stiffness_is_told_along_the_axes_of_the_box() -> None:
     assert servo is not None
     plain = hand_stiffness(np.array(servo.kp.value), np.array(workspace.start_configuration))
     turn = box_moved(displacement)[:3, :3]
+    assert not np.allclose(matrix, plain, atol=1e-3), "nothing is turned: nothing is shown"
     for error in np.random.default_rng(3).normal(size=(5, 3)):
         np.testing.assert_allclose(turn @ (matrix @ error), plain @ (turn @ error), atol=1e-12)
 
