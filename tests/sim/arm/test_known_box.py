@@ -7,7 +7,7 @@ import json
 import mujoco
 import numpy as np
 import pytest
-from moved_boxes import ORIGIN, Displacement, box_moved, calibration_at, drawn
+from moved_boxes import ORIGIN, Displacement, box_moved, calibration_at, drawn, hand_by_mujoco
 from scripted_episodes import NUM_ENVS, ScriptedEpisodes
 from scripted_open_press_close import ScriptedOpenPressClose
 from unknown_robots import exact_calibration
@@ -16,6 +16,7 @@ from skewmi.calibration.calibration_file import Calibration
 from skewmi.errors import ConfigurationError
 from skewmi.policy_io import Array
 from skewmi.robot_models import yumi
+from skewmi.robot_models.frames import HAND_DOWN, rotation_vector
 from skewmi.sim.arm.batch import ArmBatch
 from skewmi.sim.arm.known import Known
 from skewmi.sim.arm.scene import ArmScene, workspace_of
@@ -86,6 +87,19 @@ def test_the_hand_does_before_a_known_displaced_box_what_it_does_before_one_in_p
     nominal, moved = paths.values()
     np.testing.assert_allclose(moved[..., :3], nominal[..., :3], atol=1e-3)
     np.testing.assert_allclose(moved[..., 3:], nominal[..., 3:], atol=1e-3)
+
+
+def test_tilt_is_told_against_how_the_hand_is_held_before_the_known_box() -> None:
+    displacement = (0.02, -0.012, 8.0)
+    env = batch(displacement, calibration_at(*displacement))
+    env.reset()
+    for action in MOVES[:6]:
+        env.step(np.tile(action, (env.num_envs, 1)))
+        tilts = env.diagnostics().hand_tilt
+        for k, qpos in enumerate(env.batch.bind("qpos")):
+            _, turn = hand_by_mujoco(qpos[env.scene.arm_qpos], displacement)
+            seen = np.linalg.norm(rotation_vector(turn.T @ HAND_DOWN))
+            assert tilts[k] == pytest.approx(seen, abs=1e-6)
 
 
 def test_what_is_known_changes_no_physics() -> None:
