@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 
 import mujoco
 import numpy as np
@@ -142,9 +143,9 @@ def test_a_bridge_is_told_the_same_of_the_task_as_a_simulation_knows() -> None:
         assert {part.name: part for part in ours.parts} == {p.name: p for p in theirs.parts}
 
 
-def test_a_robot_that_has_no_scene_refuses_a_box(tmp_path: object) -> None:
-    import threading
-
+def test_a_robot_that_has_no_scene_refuses_a_box() -> None:
+    stop = threading.Event()
+    stop.set()  # else a robot that did not refuse would be served for ever
     config = TransportConfig.for_robot("tcp/127.0.0.1:0")
     with pytest.raises(ConfigurationError, match="'hold' has no scene that can be told"):
         serve_robot(
@@ -152,7 +153,7 @@ def test_a_robot_that_has_no_scene_refuses_a_box(tmp_path: object) -> None:
             BackendOptions(),
             config,
             LAB,
-            threading.Event(),
+            stop,
             calibration=calibration_at(*KNOWN[0]),
         )
 
