@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from lone_motions import LAB
+from moved_boxes import base_in_box
 from robot_servers import description
 
 from skewmi.deploy.motion.start_motion import StartMotion
@@ -17,10 +18,12 @@ from skewmi.deploy.robot.workspaces import spaces_of, workspaces_told
 from skewmi.deploy.safety.checks import SpaceChecks, space_checks
 from skewmi.deploy.safety.flange_space import CALIBRATION, TASK, TOUCH, FlangeSpace
 from skewmi.deploy.session.open_space import open_space
+from skewmi.deploy.session.way_spaces import way_spaces
 from skewmi.errors import ConfigurationError, LimitViolationError
 from skewmi.policy_io import Array
 from skewmi.robot_models import yumi
 from skewmi.robot_models.kinematics import ArmKinematics
+from skewmi.robot_models.obstacle import Obstacle
 from skewmi.trajectory import JointPoint, JointTrajectory
 
 START = np.array(yumi.TABLE_CONFIGURATION)
@@ -95,3 +98,32 @@ def test_what_is_not_offered_is_named(told: RobotDescription) -> None:
     odd = {CALIBRATION: {"low": (0.0, 0.0)}}
     with pytest.raises(ConfigurationError, match="needs low, high"):
         open_space(replace(told, workspaces=odd), CALIBRATION, LAB)
+
+
+def test_obstacles_stand_where_the_box_is_known_to_stand() -> None:
+    """In every workspace, and in it alone: what a way keeps clear of is before the robot."""
+    displacement = (0.02, -0.012, 8.0)
+    scene = MujocoScene(ArmSimulation(box=displacement))
+    assert scene.known_box is not None
+    told = description(
+        scene=scene.shapes_json,
+        workspaces=workspaces_told(scene, spaces_of(scene)),
+        box_pose=scene.known_box.as_mapping(),
+    )
+    before_robot = np.linalg.inv(base_in_box(displacement))
+    # A corner of the far wall's top, and one of the handle's, in the box's frame.
+    corners = np.array([(0.100, 0.003, 0.083, 1.0), (0.024, -0.1435, 0.120, 1.0)]) @ before_robot.T
+    ways = way_spaces(told, LAB, START)
+    for checks in (open_space(told, CALIBRATION, LAB), *ways.values()):
+        assert checks.obstacles
+        for corner in corners[:, :3]:
+            depth = max(_depth(corner, obstacle) for obstacle in checks.obstacles)
+            assert depth == pytest.approx(0.0, abs=1e-9), "a corner of a box, or inside of none"
+
+
+def _depth(point: Array, obstacle: Obstacle) -> float:
+    """How far a point is inside of an obstacle, m; negative outside."""
+    c, s = np.cos(obstacle.yaw), np.sin(obstacle.yaw)
+    x, y, z = point - np.array(obstacle.centre)
+    along = np.abs((c * x + s * y, c * y - s * x, z))
+    return float((np.array(obstacle.half_size) - along).min())
