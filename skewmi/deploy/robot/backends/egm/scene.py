@@ -33,6 +33,10 @@ publishes its states."""
 SCENE_PUBLISHER = "scene_publisher"
 """Key in that status: global id of the emulator's publisher of scene states, hexadecimal."""
 
+AGAINST_THE_BOX = ("hand_tilt_deg", "outside_box_mm")
+"""Of what an emulator tells of contact: against a box in its place, as it knows of no other. Where the
+box is known to stand elsewhere they would be wrong, and are not told."""
+
 _MOST_SEED = 10**18
 
 
@@ -168,4 +172,6 @@ class EgmScene:
             except (TransportError, ValueError, KeyError):
                 continue
             self._emulator, self._publisher, self._heard_s = sample.gid, publisher, now_s
+            if self.known_box is not None:
+                contact = {k: v for k, v in contact.items() if k not in AGAINST_THE_BOX}
             self._contact = contact
