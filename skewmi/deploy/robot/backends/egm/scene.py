@@ -34,8 +34,8 @@ SCENE_PUBLISHER = "scene_publisher"
 """Key in that status: global id of the emulator's publisher of scene states, hexadecimal."""
 
 AGAINST_THE_BOX = ("hand_tilt_deg", "outside_box_mm")
-"""Of what an emulator tells of contact: against a box in its place, as it knows of no other. Where the
-box is known to stand elsewhere they would be wrong, and are not told."""
+"""Of what an emulator tells of contact: against a box in its place, as it knows of no other. Where
+the box is known to stand elsewhere they would be wrong, and are not told."""
 
 _MOST_SEED = 10**18
 
