@@ -64,19 +64,10 @@ def serve_robot(
             calibration, or cannot do the task where the box stands.
         TransportError: The port is in use, or the robot cannot be reached.
     """
-    known, egm = "", _bridge(name, options)
+    known = ""
     if calibration is not None:
-        require_robot(calibration, name, None if egm is None else egm.feed_forward)
-        law = _feed_forward(
-            calibration, limits if egm is None else limits.no_faster(egm.joint_speed)
-        )
-        known = "" if law is None else fingerprint(calibration)
-        options = replace(
-            options,
-            feed_forward=law,
-            low_pass_s=low_pass_s(calibration),
-            box=box_displacement(calibration),
-        )
+        options = _knowing(name, options, limits, calibration)
+        known = "" if options.feed_forward is None else fingerprint(calibration)
     # The port first: a taken one is reported before a scene is compiled.
     with Link.open(config, NODE_NAME) as link:
         backend = make_backend(name, replace(options, link=link))
@@ -100,6 +91,25 @@ def serve_robot(
         server = RobotServer(backend, controller, link, limits, spaces, calibration=known)
         server.open_stop_path(config)
         server.run(stop, on_ready)
+
+
+def _knowing(
+    name: str, options: BackendOptions, limits: JointLimits, calibration: Calibration
+) -> BackendOptions:
+    """What a robot is told of a calibration, besides its options.
+
+    Raises:
+        ConfigurationError: It is of another kind of robot, or says nothing that is of use to one.
+    """
+    egm = _bridge(name, options)
+    require_robot(calibration, name, None if egm is None else egm.feed_forward)
+    followed = limits if egm is None else limits.no_faster(egm.joint_speed)
+    return replace(
+        options,
+        feed_forward=_feed_forward(calibration, followed),
+        low_pass_s=low_pass_s(calibration),
+        box=box_displacement(calibration),
+    )
 
 
 def _bridge(name: str, options: BackendOptions) -> EgmOptions | None:

@@ -66,8 +66,7 @@ def connect(
         TransportError: It does not answer.
         TooBusyError: This computer is too busy, and the simulated robot of this run could wait.
     """
-    layout = policy.layout
-    servos = None if known is None else servo_constants(known)
+    layout, servos = policy.layout, None if known is None else servo_constants(known)
     shown = PolicyTopics.open(link, layout)
     robot, status, trust = _ends_of(link, shown, options)
     described = trust.meet(with_scene=True)
@@ -87,9 +86,8 @@ def connect(
     pace = choose_pace(layout, options.speed, planner.hand_bounds.speed, limits.name)
     _tell_pace(pace, report, tell)
     motion = PolicyMotion(policy, planner, observer, stream, robot, shown, times, pace.step_cycles)
-    preflight = Preflight(
-        layout, options, limits, robot, observer, checks, status, stop, described, workspace
-    )
+    parts = layout, options, limits, robot, observer, checks, status, stop, described, workspace
+    preflight = Preflight(*parts)
     approach = Approach(loop, stream, limits, flange_speed)
     episodes = EpisodeRunner(
         layout, options, preflight, approach, motion, loop, checks, robot, status
@@ -98,8 +96,7 @@ def connect(
     rehearsal = warm_up(Rehearsal(policy, workspace, spare, checks), stream)
     can_wait = described.simulated and options.may_wait
     _watch_pace(observer, rehearsal, report, tell, can_wait)
-    # Whoever looks on has seen what would begin anew.
-    can_wait = can_wait and options.live is None
+    can_wait = can_wait and options.live is None  # who looks on has seen what would begin anew
     status.fire(SessionEvent.CONNECTED, f"{described.backend} robot, {described.task}")
     return Session(options, episodes, status, trust, stream, times, report, stop, can_wait, tell)
 

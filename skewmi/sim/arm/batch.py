@@ -66,17 +66,15 @@ class ArmBatch:
             seed: Of the start positions and of the variation's values.
             gripper_action: Whether the fingers' speed is a fourth action.
             time_input: Whether the observation ends with step index / episode steps.
-            target: Name of the region that is rewarded, of those that the task has; without it,
-                the task's own.
+            target: Name of the region that is rewarded; without it, the task's own.
             randomization: What differs between episodes; the default varies the hand's start.
             variation: How robot and scene differ from the nominal ones: a variation, its file, or
                 the name of a bundled one. Its values are drawn at each reset from a stream of
                 their own: the start positions are those of the nominal model. Reward and success
                 are of the true state; the observation is what its sensors say.
             calibration: What is known of the robot, whatever the variation says that it is: a
-                calibration, its file, or the JSON of one. The servos get feed-forward from it,
-                hinges of the scene are read from their zero, and the policy works in the frame of
-                the box where it says that it stands.
+                calibration, its file, or its JSON. Servos get feed-forward from it, hinges are read
+                from their zero, and the policy works in the frame of the box that it knows.
 
         Raises:
             ConfigurationError: A number is out of its range, or the variation or the calibration
@@ -90,8 +88,7 @@ class ArmBatch:
         self.num_envs = checked_num_envs(num_envs)
         self.variation = task.variations.resolve(variation)
         known = Known.of(calibration)
-        self.scene = ArmScene(task, None if known is None else known.displacement)
-        # The policy's layout stays as it is: what it sees and does is in its box's frame.
+        self.scene = ArmScene(task, known.displacement if known else None)
         self._placed = self.scene.placed(self.layout)
         self._physics = ArmPhysics(
             self.scene,
