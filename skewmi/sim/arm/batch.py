@@ -77,8 +77,7 @@ class ArmBatch:
                 from their zero, and the policy works in the frame of the box that it knows.
 
         Raises:
-            ConfigurationError: A number is out of its range, or the variation or the calibration
-                is not valid.
+            ConfigurationError: A number is out of range, or variation or calibration not valid.
             NotFoundError: There is no such target, variation or calibration file.
         """
         self.task = task
