@@ -15,6 +15,7 @@ from skewmi.errors import ConfigurationError, KinematicsError
 from skewmi.policy_io import Array, Workspace
 from skewmi.robot_models.base_frame import BaseFrame, BoxPose
 from skewmi.robot_models.frames import rotation_from_quaternion
+from skewmi.robot_models.hand_stiffness import hand_stiffness
 from skewmi.robot_models.kinematics import ArmKinematics, require_converged
 
 if TYPE_CHECKING:
@@ -104,6 +105,27 @@ def placed(workspace: Workspace, box: BoxPose | None) -> Workspace:
         base_yaw=base.yaw,
         start_configuration=tuple(result.q.tolist()),
     )
+
+
+def known_stiffness(calibration: Calibration | None, workspace: Workspace) -> Array | None:
+    """What a command integrator takes of it, along the axes of a workspace's frame.
+
+    Args:
+        calibration: Of the robot; None if nothing is known.
+        workspace: Placed where the box is known to stand. The stiffness is that at its start.
+
+    Returns:
+        See `hand_stiffness`. Shape (3, 3); None if the servos were not calibrated.
+    """
+    servo = None if calibration is None else calibration.servo
+    if servo is None:
+        return None
+    matrix = hand_stiffness(np.array(servo.kp.value), np.array(workspace.start_configuration))
+    base = BaseFrame.of(workspace)
+    if base.yaw == 0.0:
+        return matrix
+    turned: Array = base.rotation @ matrix @ base.rotation.T
+    return turned
 
 
 def _require_room(

@@ -11,8 +11,6 @@ import numpy as np
 from skewmi.calibration.calibration_file import Calibration
 from skewmi.errors import ConfigurationError
 from skewmi.robot_models.feed_forward import ServoConstants
-from skewmi.robot_models.hand_stiffness import hand_stiffness
-from skewmi.robot_models.yumi import Array
 
 EGM = "egm"
 """The robot whose controller is guided by EGM, as robot servers call it."""
@@ -77,17 +75,6 @@ def known_delay_s(calibration: Calibration) -> float:
     if egm is not None:
         return max(0.0, float(np.mean(egm.lag_ms.value))) / 1e3
     return 0.0 if servo is None else servo.delay_ms.value[0] / 1e3
-
-
-def known_stiffness(calibration: Calibration, configuration: Array) -> Array | None:
-    """What a command integrator takes of it; None if the servos were not calibrated.
-
-    Args:
-        calibration: Of the robot.
-        configuration: At which the hand's stiffness is taken, rad. Shape (7,).
-    """
-    servo = calibration.servo
-    return None if servo is None else hand_stiffness(np.array(servo.kp.value), configuration)
 
 
 def fingerprint(calibration: Calibration) -> str:

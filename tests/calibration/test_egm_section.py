@@ -11,18 +11,19 @@ import numpy as np
 import pytest
 from unknown_robots import exact_calibration, exact_egm_calibration
 
+from skewmi.box_frame import known_stiffness
 from skewmi.calibration.calibration_file import Calibration
 from skewmi.calibration.calibration_use import (
     known_delay_s,
-    known_stiffness,
     low_pass_s,
     require_robot,
     servo_constants,
 )
 from skewmi.calibration.ranges import variation_ranges
 from skewmi.errors import ConfigurationError
-from skewmi.robot_models import yumi
 from skewmi.robot_models.servo import CONTACT_SERVO
+from skewmi.sim.arm.scene import workspace_of
+from skewmi.sim.tasks.open_press_close.definition import make_layout
 
 EGM, SERVO = exact_egm_calibration(12.0, 8.0, 25.0), exact_calibration(delay_ms=30.0)
 
@@ -114,6 +115,6 @@ def test_what_is_used_of_it() -> None:
     half = servo_constants(exact_egm_calibration(12.0, 8.0, 25.0, 0.5))
     assert half is not None
     np.testing.assert_allclose(half.lead, 0.025 + 0.5 / 12.0)
-    assert known_stiffness(EGM, np.array(yumi.TABLE_CONFIGURATION)) is None
+    assert known_stiffness(EGM, workspace_of(make_layout())) is None
     with pytest.raises(ConfigurationError, match="nothing to widen"):
         variation_ranges(EGM, CONTACT_SERVO, 2.0, {})

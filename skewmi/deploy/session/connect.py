@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
-from skewmi.box_frame import placed
+from skewmi.box_frame import known_stiffness, placed
 from skewmi.calibration.calibration_file import Calibration
 from skewmi.calibration.calibration_use import servo_constants
 from skewmi.deploy.motion.planner import Planner
@@ -85,7 +85,10 @@ def connect(
     planner = Planner(workspace, limits, flange_speed=flange_speed)
     pace = choose_pace(layout, options.speed, planner.hand_bounds.speed, limits.name)
     _tell_pace(pace, report, tell)
-    motion = PolicyMotion(policy, planner, observer, stream, robot, shown, times, pace.step_cycles)
+    motion = PolicyMotion(
+        *(policy, planner, observer, stream, robot, shown, times, pace.step_cycles),
+        known_stiffness(known, workspace),
+    )
     parts = layout, options, limits, robot, observer, checks, status, stop, described, workspace
     preflight = Preflight(*parts)
     approach = Approach(loop, stream, limits, flange_speed)

@@ -38,6 +38,8 @@ class HandCommander:
         stream: Knows what was commanded for a time not long ago.
         step_s: How long a control step takes: longer than in training for a slowed-down one, s.
         delay: Of the arm behind its commands.
+        stiffness: Of the hand relative to training's, if it is known; see `CommandIntegrator`.
+            Shape (3, 3).
     """
 
     def __init__(
@@ -48,8 +50,9 @@ class HandCommander:
         stream: ChunkStream,
         step_s: float,
         delay: ArmDelay,
+        stiffness: Array | None = None,
     ) -> None:
-        self.integrator = CommandIntegrator(layout, yumi.GRIPPER.travel)
+        self.integrator = CommandIntegrator(layout, yumi.GRIPPER.travel, stiffness)
         self._planner, self._observer, self._stream = planner, observer, stream
         self._step_s = step_s
         self._delay = delay

@@ -56,6 +56,7 @@ class PolicyMotion:
         topics: PolicyTopics,
         times: CycleTimes,
         step_cycles: int,
+        stiffness: Array | None = None,
     ) -> None:
         self._policy = policy
         self._layout = policy.layout
@@ -67,7 +68,7 @@ class PolicyMotion:
         self._step_cycles = step_cycles
         step_s = step_cycles * CYCLE_NS / 1e9
         self.commander = HandCommander(
-            policy.layout, planner, observer, stream, step_s, robot.delay
+            policy.layout, planner, observer, stream, step_s, robot.delay, stiffness
         )
         """What the hand is commanded to; of the present or last episode."""
         self.forget()

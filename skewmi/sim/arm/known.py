@@ -8,18 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
-from skewmi.box_frame import box_displacement
+from skewmi.box_frame import box_displacement, known_stiffness
 from skewmi.calibration.calibration_file import Calibration, read_calibration
 from skewmi.calibration.calibration_use import (
     LARGEST_LID_BIAS,
-    known_stiffness,
     lid_bias,
     require_robot,
     servo_constants,
 )
 from skewmi.errors import ConfigurationError
 from skewmi.policy_io import Array, Workspace
-from skewmi.robot_models.base_frame import BaseFrame
 from skewmi.robot_models.feed_forward import FeedForward
 from skewmi.sim.arm.arm_task import SensedJoint
 
@@ -80,12 +78,7 @@ class Known:
 
         None if the servos were not calibrated.
         """
-        matrix = known_stiffness(self.calibration, np.array(workspace.start_configuration))
-        base = BaseFrame.of(workspace)
-        if matrix is None or base.yaw == 0.0:
-            return matrix
-        turned: Array = base.rotation @ matrix @ base.rotation.T
-        return turned
+        return known_stiffness(self.calibration, workspace)
 
     def zero(self, joints: tuple[SensedJoint, ...], errors: Array | None) -> Array | None:
         """What to take off the readings of the scene's joints in an episode.
