@@ -4,7 +4,8 @@ Robots are drawn as in `calibrated_robots.py`, by default with the scene's box d
 5 mm and 3 degrees, too, which nothing is told of. Each is what its robot server is; all else goes
 through the command line: `calibrate excite` and `calibrate servo`, then the policy in the batched
 simulation (`evaluate`) and through the deployed chain in lock-step (`deploy`), before and after. A
-robot takes minutes; `--rows FILE` keeps what is finished, and goes on from it.
+robot takes minutes; `--rows FILE` keeps what is finished, and goes on from it. With `--keep FOLDER`
+robots and their calibrations stay there, and are not made again.
 
     python benchmarks/calibrated_deployment.py --robots 50 --rows rows.jsonl --out results.json
 """
@@ -14,7 +15,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import ExitStack, redirect_stderr, redirect_stdout
 from functools import partial
 from io import StringIO
 from multiprocessing import get_context
@@ -46,6 +47,25 @@ def command(*arguments: str) -> dict[str, Any]:
     return document
 
 
+def calibrate(args: argparse.Namespace, number: int, file: Path, known: Path) -> dict[str, Any]:
+    """Excite a robot and identify its servos."""
+    recording = file.with_name("excitation.mcap")
+    begin = time.perf_counter()
+    excited = command(
+        *("calibrate", "excite", "--variation", str(file), "--lock-step", "--overwrite"),
+        *("--seconds", str(args.seconds), "--seed", str(number), "--out", str(recording)),
+    )
+    excite_s, begin = time.perf_counter() - begin, time.perf_counter()
+    servo = command("calibrate", "servo", str(recording), "--out", str(known), "--overwrite")
+    recording.unlink()
+    return {
+        "excite": {k: excited.get(k) for k in ("stops", "usage", "missed_cycles")},
+        "excite_s": excite_s,
+        "servo_s": time.perf_counter() - begin,
+        "residual_rms_rad": servo.get("residual_rms_rad"),
+    }
+
+
 def one_robot(args: argparse.Namespace, number: int) -> dict[str, Any]:
     rng = np.random.default_rng([args.seed, number])
     robot = json.loads(UnknownRobot.draw(rng, args.lid).variation())
@@ -55,26 +75,22 @@ def one_robot(args: argparse.Namespace, number: int) -> dict[str, Any]:
     }
     robot["sensors"] = {"joint_noise": 1e-4}
     row: dict[str, Any] = {"number": number, "robot": robot}
-    with TemporaryDirectory() as name:
-        folder = Path(name)
-        file, recording, known = (
-            str(folder / n) for n in ("robot.yaml", "excitation.mcap", "calibration.yaml")
-        )
+    with ExitStack() as stack:
+        if args.keep is None:
+            folder = Path(stack.enter_context(TemporaryDirectory()))
+        else:
+            folder = args.keep / f"robot-{number}"
+            folder.mkdir(parents=True, exist_ok=True)
+        file, known, made = (folder / n for n in ("robot.yaml", "calibration.yaml", "made.json"))
         # JSON is YAML.
-        Path(file).write_text(json.dumps(robot))
-        begin = time.perf_counter()
-        excited = command(
-            *("calibrate", "excite", "--variation", file, "--lock-step"),
-            *("--seconds", str(args.seconds), "--seed", str(number), "--out", recording),
-        )
-        row["excite"] = {k: excited.get(k) for k in ("stops", "usage", "missed_cycles")}
-        row["excite_s"] = time.perf_counter() - begin
-        begin = time.perf_counter()
-        servo = command("calibrate", "servo", recording, "--out", known)
-        row["servo_s"] = time.perf_counter() - begin
-        row["residual_rms_rad"] = servo.get("residual_rms_rad")
-        for when, more in (("before", ()), ("after", ("--calibration", known))):
-            varied = ("--variation", file, *more)
+        if file.is_file() and json.loads(file.read_text()) != robot:
+            raise SystemExit(f"{file} is another robot: give --keep an empty folder")
+        file.write_text(json.dumps(robot))
+        if not made.is_file():
+            made.write_text(json.dumps(calibrate(args, number, file, known)))
+        row |= json.loads(made.read_text())
+        for when, more in (("before", ()), ("after", ("--calibration", str(known)))):
+            varied = ("--variation", str(file), *more)
             seed = ("--seed", str(args.seed))
             if args.simulated:
                 told = command(
@@ -123,6 +139,7 @@ def main() -> None:
     parser.add_argument("--pose", type=float, default=1.0, help="part of the box's displacement")
     parser.add_argument("--lid", type=float, nargs=2, help="friction of the lid from, to, N m")
     parser.add_argument("--rows", type=Path, default=None, help="file of finished robots (JSONL)")
+    parser.add_argument("--keep", type=Path, default=None, help="folder of robots, calibrated")
     parser.add_argument("--processes", type=int, default=1, help="robots at the same time")
     args = parser.parse_args()
     rows = []
