@@ -1,11 +1,12 @@
-"""The whole way of a calibration, on robots that nobody knows: excite, servo, deploy.
+"""The whole way of a calibration, on robots that nobody knows: excite, servo, scene, deploy.
 
 Robots are drawn as in `calibrated_robots.py`, by default with the scene's box displaced by up to
-5 mm and 3 degrees, too, which nothing is told of. Each is what its robot server is; all else goes
-through the command line: `calibrate excite` and `calibrate servo`, then the policy in the batched
-simulation (`evaluate`) and through the deployed chain in lock-step (`deploy`), before and after. A
-robot takes minutes; `--rows FILE` keeps what is finished, and goes on from it. With `--keep FOLDER`
-robots and their calibrations stay there, and are not made again.
+5 mm and 3 degrees, too. Each is what its robot server is; all else goes through the command line:
+`calibrate excite`, `calibrate servo` and, with `--scene`, `calibrate scene`, which finds the box by
+touching it and without which nothing is told of it; then the policy in the batched simulation
+(`evaluate`) and through the deployed chain in lock-step (`deploy`), before and after. A robot takes
+minutes; `--rows FILE` keeps what is finished, and goes on from it. With `--keep FOLDER` robots and
+their calibrations stay there, and are not made again.
 
     python benchmarks/calibrated_deployment.py --robots 50 --rows rows.jsonl --out results.json
 """
@@ -14,7 +15,9 @@ from __future__ import annotations
 
 import argparse
 import json
+import shutil
 import time
+from collections.abc import Callable
 from contextlib import ExitStack, redirect_stderr, redirect_stdout
 from functools import partial
 from io import StringIO
@@ -28,6 +31,9 @@ from calibrated_robots import UnknownRobot
 from common import argument_parser, print_result, progress, write_result
 
 from skewmi.cli.main import main as skewmi_command
+
+POSE = {"x": 0.005, "y": 0.005, "yaw_deg": 3.0}
+"""Largest displacement of the box, m and degrees."""
 
 
 def command(*arguments: str) -> dict[str, Any]:
@@ -47,7 +53,9 @@ def command(*arguments: str) -> dict[str, Any]:
     return document
 
 
-def calibrate(args: argparse.Namespace, number: int, file: Path, known: Path) -> dict[str, Any]:
+def calibrate_servos(
+    args: argparse.Namespace, number: int, file: Path, out: Path
+) -> dict[str, Any]:
     """Excite a robot and identify its servos."""
     recording = file.with_name("excitation.mcap")
     begin = time.perf_counter()
@@ -56,7 +64,7 @@ def calibrate(args: argparse.Namespace, number: int, file: Path, known: Path) ->
         *("--seconds", str(args.seconds), "--seed", str(number), "--out", str(recording)),
     )
     excite_s, begin = time.perf_counter() - begin, time.perf_counter()
-    servo = command("calibrate", "servo", str(recording), "--out", str(known), "--overwrite")
+    servo = command("calibrate", "servo", str(recording), "--out", str(out), "--overwrite")
     recording.unlink()
     return {
         "excite": {k: excited.get(k) for k in ("stops", "usage", "missed_cycles")},
@@ -66,12 +74,34 @@ def calibrate(args: argparse.Namespace, number: int, file: Path, known: Path) ->
     }
 
 
+def calibrate_scene(known: Path, file: Path, out: Path) -> dict[str, Any]:
+    """Touch the box of a robot whose servos are known."""
+    begin = time.perf_counter()
+    scene = command(
+        *("calibrate", "scene", "--variation", str(file), "--lock-step", "--overwrite"),
+        *("--calibration", str(known), "--out", str(out)),
+    )
+    seconds, force = time.perf_counter() - begin, scene.get("largest_force_n")
+    # Without a pose it was stopped, and the robot goes on with what is known of its servos.
+    pose = {name: told["value"] for name, told in scene.get("box_pose", {}).items() if name in POSE}
+    if not pose:
+        shutil.copy(known, out)
+    return {"scene": {"box_pose": pose, "largest_force_n": force, "seconds": seconds}}
+
+
+def once(file: Path, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """What is made and told, or what the file keeps of an earlier time."""
+    if not file.is_file():
+        file.write_text(json.dumps(make()))
+    told: dict[str, Any] = json.loads(file.read_text())
+    return told
+
+
 def one_robot(args: argparse.Namespace, number: int) -> dict[str, Any]:
     rng = np.random.default_rng([args.seed, number])
     robot = json.loads(UnknownRobot.draw(rng, args.lid).variation())
     robot["box_pose"] = {
-        name: float(args.pose * rng.uniform(-bound, bound))
-        for name, bound in (("x", 0.005), ("y", 0.005), ("yaw_deg", 3.0))
+        name: float(args.pose * rng.uniform(-bound, bound)) for name, bound in POSE.items()
     }
     robot["sensors"] = {"joint_noise": 1e-4}
     row: dict[str, Any] = {"number": number, "robot": robot}
@@ -81,14 +111,15 @@ def one_robot(args: argparse.Namespace, number: int) -> dict[str, Any]:
         else:
             folder = args.keep / f"robot-{number}"
             folder.mkdir(parents=True, exist_ok=True)
-        file, known, made = (folder / n for n in ("robot.yaml", "calibration.yaml", "made.json"))
+        file, known = folder / "robot.yaml", folder / "calibration.yaml"
         # JSON is YAML.
         if file.is_file() and json.loads(file.read_text()) != robot:
             raise SystemExit(f"{file} is another robot: give --keep an empty folder")
         file.write_text(json.dumps(robot))
-        if not made.is_file():
-            made.write_text(json.dumps(calibrate(args, number, file, known)))
-        row |= json.loads(made.read_text())
+        row |= once(folder / "made.json", partial(calibrate_servos, args, number, file, known))
+        if args.scene:
+            servos, known = known, folder / "with_scene.yaml"
+            row |= once(folder / "scene.json", partial(calibrate_scene, servos, file, known))
         for when, more in (("before", ()), ("after", ("--calibration", str(known)))):
             varied = ("--variation", str(file), *more)
             seed = ("--seed", str(args.seed))
@@ -118,6 +149,17 @@ def summary(args: argparse.Namespace, rows: list[dict[str, Any]]) -> dict[str, A
             result[f"{where}_{when}"] = f"{sum(counts)} of {episodes * len(rows)}"
             if when == "after":
                 result[f"{where}_robots_always"] = sum(count == episodes for count in counts)
+    touched = [row for row in rows if row.get("scene", {}).get("box_pose")]
+    if touched:
+        result["boxes_found"] = len(touched)
+        found = [row["scene"]["box_pose"] for row in touched]
+        for name in POSE:
+            wrong = [
+                abs(f[name] - r["robot"]["box_pose"][name])
+                for f, r in zip(found, touched, strict=True)
+            ]
+            result[f"box_{name}_off"] = max(wrong)
+        result["touching_force_n"] = max(row["scene"]["largest_force_n"] for row in touched)
     for name in (
         "hand_force_peak_n",
         "hand_force_standing_n",
@@ -139,6 +181,7 @@ def main() -> None:
     parser.add_argument("--pose", type=float, default=1.0, help="part of the box's displacement")
     parser.add_argument("--lid", type=float, nargs=2, help="friction of the lid from, to, N m")
     parser.add_argument("--rows", type=Path, default=None, help="file of finished robots (JSONL)")
+    parser.add_argument("--scene", action="store_true", help="find the box by touching it, too")
     parser.add_argument("--keep", type=Path, default=None, help="folder of robots, calibrated")
     parser.add_argument("--processes", type=int, default=1, help="robots at the same time")
     args = parser.parse_args()
@@ -157,7 +200,7 @@ def main() -> None:
                 f"{row.get('simulated_after')} of {args.simulated}, deployed "
                 f"{row['deployed_before']} -> {row['deployed_after']} of {args.episodes}"
             )
-    keys = ("policy", "robots", "seconds", "episodes", "simulated", "pose", "lid")
+    keys = ("policy", "robots", "seconds", "episodes", "simulated", "pose", "lid", "scene")
     document = write_result(
         "calibrated_deployment",
         {"summary": summary(args, rows), "each": rows},
