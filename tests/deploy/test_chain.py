@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from robot_servers import describe
 from scipy import signal as signals
-from scripted_runs import Scripted
+from scripted_runs import Scripted, give_up
 from sent_motion import assert_limits_kept, chunks_of
 
 from skewmi.cli.interrupt import ENDING_SIGNALS
@@ -27,6 +27,7 @@ from skewmi.deploy.wire.messages import (
 )
 from skewmi.errors import ConfigurationError, LayoutMismatchError, TransportError
 from skewmi.policy_io import Array
+from skewmi.sim.tasks.open_press_close.definition import make_layout
 from skewmi.trajectory import GRID_NS
 
 
@@ -93,6 +94,42 @@ def test_lock_step_runs_are_repeatable(lock_step_robot: str, tmp_path: Path) -> 
         assert report.faulted
         recorded.append(np.concatenate([chunk.trajectory.q for chunk in chunks_of(path)]))
     np.testing.assert_array_equal(*recorded)
+
+
+class Fumbling:
+    """Opens and shuts the fingers, with the hand about where it starts, until it has enough."""
+
+    layout = make_layout(gripper_action=True)
+
+    def reset(self) -> None:
+        self.rng, self.count = np.random.default_rng(5), 0
+
+    def act(self, observation: Array) -> Array:
+        self.count += 1
+        if self.count > 60:
+            give_up()
+        return np.array([0.0, 0.2, 0.2, 1.0]) * self.rng.uniform(-1.0, 1.0, 4)
+
+
+def test_lock_step_waits_for_commands_of_the_fingers_too(
+    lock_step_robot: str, tmp_path: Path
+) -> None:
+    measured = []
+    for name in ("first", "second"):
+        path = tmp_path / f"{name}.mcap"
+        options = DeployOptions(seed=7, connect=lock_step_robot, lock_step=True, record=path)
+        assert run_deploy(Fumbling(), options).episodes[0].reason == "enough"
+        messages = read_recording(path).messages
+        states, actions = (
+            [decode_joint_states(message.payload) for message in messages[topic.name]]
+            for topic in (topics.YUMI_JOINT_STATES, topics.POLICY_ACTION)
+        )
+        # What was before is the way to the start, from wherever the arm was.
+        began_ns, ended_ns = actions[0].stamp_ns, actions[-1].stamp_ns
+        during = [state for state in states if began_ns <= state.stamp_ns <= ended_ns]
+        measured.append(np.array([state.position for state in during]))
+    assert np.ptp(measured[0][:, -1]) > 0.005, "the fingers hardly moved: nothing is shown"
+    np.testing.assert_array_equal(*measured)
 
 
 @pytest.mark.parametrize(

@@ -58,6 +58,7 @@ class LoneRobot:
                 continue
             assert state is not None
             self.controller.cycle(state, now_ns)
+            self.requests.move_fingers()
 
     @property
     def measured(self) -> Array:

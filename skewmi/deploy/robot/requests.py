@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 from skewmi.deploy.robot.backend import RobotBackend
 from skewmi.deploy.robot.controller import RobotController
-from skewmi.deploy.robot.refusals import printable
+from skewmi.deploy.robot.refusals import Refusal, printable
 from skewmi.deploy.robot.states import ACCEPTS_COMMANDS, ServerEvent, ServerState
 from skewmi.deploy.robot.workspaces import check_scene_is_shut
 from skewmi.deploy.safety.flange_space import TASK
@@ -13,6 +15,9 @@ from skewmi.deploy.wire.arm_request import ArmRequest
 from skewmi.deploy.wire.messages import JointStates
 from skewmi.errors import CommandRefusedError
 from skewmi.robot_models import yumi
+
+MOST_WAITING = 16
+"""Gripper commands whose time has not come; one for each control step is usual."""
 
 
 class RobotRequests:
@@ -26,6 +31,7 @@ class RobotRequests:
     def __init__(self, backend: RobotBackend, controller: RobotController) -> None:
         self._backend = backend
         self._controller = controller
+        self._openings: deque[tuple[int, float]] = deque(maxlen=MOST_WAITING)
         self.stops = 0
         """How often somebody asked to stop, in whatever state: a commander that was between two
         episodes must not take the arm again as if nothing had been said."""
@@ -190,6 +196,9 @@ class RobotRequests:
     def follow_gripper(self, command: JointStates, gid: bytes, sequence: int | None = None) -> None:
         """`open_gripper` for a command as it was received.
 
+        A robot in lock-step waits for the command's time: what arrives on the way to it would else
+        move the fingers sooner or later from one run to the next.
+
         Raises:
             CommandRefusedError: Not this gripper's joint, or not made just now; or as there.
         """
@@ -200,8 +209,36 @@ class RobotRequests:
             raise CommandRefusedError(
                 f"one opening, that of {', '.join(fingers) or 'no gripper'}, is expected; got {got}"
             )
-        check_fresh(command.stamp_ns, self._controller.clock_ns)
-        self.open_gripper(float(command.position[0]), gid, sequence)
+        controller, opening = self._controller, float(command.position[0])
+        check_fresh(command.stamp_ns, controller.clock_ns)
+        if not self._backend.lock_step or command.stamp_ns <= controller.clock_ns:
+            self.open_gripper(opening, gid, sequence)
+            return
+        controller.check_accepting()
+        controller.lease.check_gripper(gid, sequence)
+        if not 0.0 <= opening <= yumi.GRIPPER.travel:
+            raise CommandRefusedError(
+                f"finger opening {opening:.4g} m is outside 0..{yumi.GRIPPER.travel:g} m"
+            )
+        self._openings.append((command.stamp_ns, opening))
+        controller.lease.renew_gripper(gid, sequence)
+
+    def move_fingers(self) -> None:
+        """Carry out the gripper commands whose time has come; call it in every cycle."""
+        if not self._openings:
+            return
+        if self._controller.state not in ACCEPTS_COMMANDS:
+            self._openings.clear()
+            return
+        for _ in range(len(self._openings)):
+            at_ns, opening = self._openings.popleft()
+            if at_ns > self._controller.clock_ns:
+                self._openings.append((at_ns, opening))
+                continue
+            try:
+                self._backend.open_gripper(opening)
+            except CommandRefusedError as error:
+                self._controller.refusals.note(Refusal(f"gripper: {error}", of_commander=True))
 
     def open_gripper(self, opening: float, gid: bytes, sequence: int | None = None) -> None:
         """Move the fingers, for the commander only.

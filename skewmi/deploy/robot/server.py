@@ -157,6 +157,7 @@ class RobotServer:
             self._controller.no_cycle(now_ns)
         else:
             self._controller.cycle(state, now_ns)
+            self._requests.move_fingers()
             self._publisher.states(state)
             self._publisher.executed(state)
         self._serve()

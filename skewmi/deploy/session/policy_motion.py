@@ -65,7 +65,7 @@ class PolicyMotion:
         self._robot = robot
         self._topics = topics
         self._times = times
-        self._step_cycles = step_cycles
+        self._step_cycles, self._lead_ns = step_cycles, round(1e9 * stream.lead_s)
         step_s = step_cycles * CYCLE_NS / 1e9
         self.commander = HandCommander(
             policy.layout, planner, observer, stream, step_s, robot.delay, stiffness
@@ -128,15 +128,16 @@ class PolicyMotion:
         if self._planner.held_back is not None:
             self.held_back += 1
             self.held_back_reason = self._planner.held_back
+        if self._acted is not None and self.commander.opening is not None:
+            # For when the chunk begins, and before it: it is what a robot in lock-step waits for.
+            self._robot.open_gripper(self.commander.opening, state.stamp_ns + self._lead_ns)
         return chunk
 
     def after_sending(self, state: ArmState) -> None:
-        """Command the gripper and publish the control step, if there was one."""
+        """Publish the control step, if there was one."""
         if self._acted is None:
             return
         observation, action = self._acted
-        if self.commander.opening is not None:
-            self._robot.open_gripper(self.commander.opening, state.stamp_ns)
         self._topics.publish(state.stamp_ns, observation, action)
         self._times.lap("record")
 

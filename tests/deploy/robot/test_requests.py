@@ -18,11 +18,12 @@ from lone_robot import LoneRobot
 from skewmi.deploy.robot.backends.mujoco.simulation import ArmSimulation
 from skewmi.deploy.robot.controller import LEASE_NS
 from skewmi.deploy.robot.refusals import Refusal
+from skewmi.deploy.robot.requests import MOST_WAITING
 from skewmi.deploy.robot.states import ServerState
 from skewmi.deploy.safety.validation import MAX_CHUNK_BYTES, ValidationRules
 from skewmi.deploy.wire.messages import JointStates
 from skewmi.errors import CommandRefusedError
-from skewmi.trajectory import JointTrajectory
+from skewmi.trajectory import GRID_NS, JointTrajectory
 
 
 def test_second_commander_is_refused_with_the_reason(robot: LoneRobot) -> None:
@@ -161,6 +162,66 @@ def test_scene_resets_at_rest_only(robot: LoneRobot, simulation: ArmSimulation) 
     assert simulation.scene_state().position[0] == 0.0
     measured = simulation.robot_state(0).position[:7]
     assert robot.commanded == pytest.approx(measured, abs=1e-12)
+
+
+def opening_for(robot: LoneRobot, ticks: int, opening: float) -> JointStates:
+    """A gripper command for so many grid steps from now."""
+    finger, nothing = robot.backend.state_names[7:], np.zeros(0)
+    stamp_ns = robot.controller.clock_ns + ticks * GRID_NS
+    return JointStates(stamp_ns, finger, np.array([opening]), nothing, nothing)
+
+
+def finger_target(simulation: ArmSimulation) -> float:
+    return simulation._finger_target
+
+
+@pytest.mark.parametrize("delay", [0, 3, 5])
+def test_in_lock_step_the_fingers_wait_for_their_time(
+    robot: LoneRobot, simulation: ArmSimulation, delay: int
+) -> None:
+    """Whenever the command came on the way to it."""
+    assert robot.backend.lock_step
+    robot.requests.arm(OURS + GRIPPER, 0)
+    before, first, second = (
+        finger_target(simulation),
+        *(opening_for(robot, 6 + more, opening) for more, opening in ((0, 0.02), (2, 0.01))),
+    )
+    robot.run(delay)
+    # The later one first: each has its own time.
+    robot.requests.follow_gripper(second, GRIPPER, 1)
+    robot.requests.follow_gripper(first, GRIPPER, 2)
+    robot.run(5 - delay)
+    assert finger_target(simulation) == before
+    robot.run(1)
+    assert finger_target(simulation) == 0.02
+    robot.run(1)
+    assert finger_target(simulation) == 0.02
+    robot.run(1)
+    assert finger_target(simulation) == 0.01
+
+
+def test_fingers_that_wait_obey_the_commander_only_and_no_more_once_it_is_gone(
+    robot: LoneRobot, simulation: ArmSimulation
+) -> None:
+    with pytest.raises(CommandRefusedError, match="arm it first"):
+        robot.requests.follow_gripper(opening_for(robot, 3, 0.01), GRIPPER, 1)
+    robot.requests.arm(OURS + GRIPPER, 0)
+    before = finger_target(simulation)
+    with pytest.raises(CommandRefusedError, match="not the gripper's commander"):
+        robot.requests.follow_gripper(opening_for(robot, 3, 0.01), OTHER, 1)
+    for wrong in (-0.001, 0.026, float("nan")):
+        with pytest.raises(CommandRefusedError, match="outside"):
+            robot.requests.follow_gripper(opening_for(robot, 3, wrong), GRIPPER, 1)
+    for sequence in range(1, 1000):
+        robot.requests.follow_gripper(opening_for(robot, 3, 0.01), GRIPPER, sequence)
+    assert len(robot.requests._openings) == MOST_WAITING
+    robot.requests.disarm(OURS)
+    robot.run(10)
+    assert finger_target(simulation) == before
+    robot.requests.arm(OURS + GRIPPER, 0)
+    robot.run(10)
+    assert finger_target(simulation) == before, "what waited for another commander is forgotten"
+    assert robot.refusals() == []
 
 
 def test_gripper_obeys_the_commander_only(robot: LoneRobot) -> None:
