@@ -42,6 +42,8 @@ from skewmi.train.state import as_array
 TASK = "door_open"
 TOLERANCE = 1e-5
 """Of an action, which is in [-1, 1]."""
+EVALUATED = 200
+"""Episodes in the batched simulation, to say what the policy is worth."""
 CLEARLY = 1e-2
 """A control differs by at least this."""
 
@@ -180,6 +182,9 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     options.folder.mkdir(parents=True, exist_ok=True)
     policy, record = options.folder / "policy.onnx", options.folder / "run.mcap"
     exported = run("export-onnx", str(run_dir), "--out", str(policy), "--overwrite")
+    evaluated = run(
+        "evaluate", str(policy), "--episodes", str(EVALUATED), "--seed", str(options.seed)
+    )
     many = ("--episodes", str(options.episodes), "--seed", str(options.seed))
     report = run(
         "deploy", str(policy), *many, "--lock-step", "--record", str(record), "--overwrite"
@@ -200,6 +205,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
             "converged_at_paper": state["converged_at_paper"],
         },
         "export": {"largest_difference_to_torch": exported["max_difference"]},
+        "evaluate": {key: evaluated[key] for key in ("episodes", "successes")},
         "deployed": {
             "lock_step": report["lock_step"],
             "successes": report["successes"],
