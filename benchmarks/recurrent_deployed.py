@@ -10,8 +10,8 @@ one `torch.nn.LSTM` over the whole sequence, with an empty memory at the episode
 recorded actions have to be its mean actions.
 
 Two controls show that this can fail: the same network with an empty memory at every step, and with
-the memory of the episode before at the start of the next. Some minutes of training, some seconds
-an episode.
+the memory of the episode before at the start of the next. Some twenty minutes of training, some
+seconds an episode.
 """
 
 from __future__ import annotations
@@ -223,10 +223,10 @@ def main() -> int:
     parser.add_argument("--run", type=Path, help="of a PPO + LSTM run; takes it as it is")
     parser.add_argument("--preset", default="paper-reduced-ppo", help="with a memory; not of --run")
     parser.add_argument("--target", choices=[*TARGETS], default="t2", help="not of --run")
-    parser.add_argument("--steps", type=int, default=150_000, help="of training, environment steps")
+    parser.add_argument("--steps", type=int, default=600_000, help="of training, environment steps")
     parser.add_argument("--episodes", type=int, default=20, help="deployed")
     options = parser.parse_args()
-    keys = ("preset", "target", "steps", "episodes")
+    keys = ("preset", "target", "steps", "episodes") if options.run is None else ("episodes",)
     config = {key: getattr(options, key) for key in keys} | {"tolerance": TOLERANCE}
     document = write_result(
         "recurrent_deployed", measure(options), options.out, seed=options.seed, config=config
