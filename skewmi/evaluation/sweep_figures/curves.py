@@ -107,7 +107,10 @@ def _draw_bands(
             continue
         colour = colours[name]
         shown = band(curves, hold=hold)
-        axis.plot(shown.x, shown.mean, color=colour, label=f"{name} ({len(curves)})")
+        # A line through a single measurement would be nothing to see.
+        marker = "o" if len(shown.x) == 1 else ""
+        label = f"{name} ({len(curves)})"
+        axis.plot(shown.x, shown.mean, color=colour, marker=marker, markersize=5, label=label)
         low, high = shown.mean - shown.deviation, shown.mean + shown.deviation
         axis.fill_between(shown.x, low, high, color=colour, alpha=0.18, linewidth=0)
         rows += [

@@ -9,14 +9,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 
 from skewmi.errors import ConfigurationError
-from skewmi.evaluation.sweep_figures.figure import Drawn, read_request
+from skewmi.evaluation.sweep_figures.figure import COLOURS, Drawn, read_request
 from skewmi.evaluation.sweep_figures.kinds import KINDS, draw
 from skewmi.evaluation.sweep_figures.runs import SweepRuns
 from skewmi.evaluation.sweep_figures.visits import Scene
 from skewmi.sim import tasks
+from skewmi.sweep.tables import Tables, as_columns
 
 Rows = list[dict[str, Any]]
 Make = Callable[[Rows], SweepRuns]
@@ -57,6 +59,29 @@ def test_exploration_is_a_band_per_configuration_metric_and_task(
         ("maze", "one", 11.0), ("maze", "two", 21.0), ("door", "one", 11.0), ("door", "two", 21.0),
     ]  # fmt: skip
     assert all(float(r["deviation"]) == pytest.approx(1.0) and r["runs"] == "3" for r in last)
+
+
+@pytest.mark.parametrize(("kind", "more"), [("exploration", {"metrics": ["entropy"]}),
+                                           ("learning", {"metric": "entropy"})])  # fmt: skip
+@pytest.mark.parametrize("configurations", [{"one"}, {"one", "two"}])
+def test_a_single_measurement_is_seen(
+    tmp_path: Path, rows: Rows, kind: str, more: dict[str, Any], configurations: set[str]
+) -> None:
+    """Of a sweep that was tried out: the panel alone, without the legend, has its colours."""
+    rows = [r for r in rows if r["task"] == "maze" and r["configuration"] in configurations]
+    points = [
+        {"run": r["run"], "step": 5000.0, "trajectories": 25.0, "entropy": r["entropy"]}
+        for r in rows
+    ]
+    runs = SweepRuns(Tables(as_columns(rows), as_columns(points), {}))
+    request = read_request("f", {"groups": ["g"], "draw": kind, **more}, KINDS)
+    result = draw(request, runs, scenes(), tmp_path / "f", dpi=100)
+    picture = imread(result.files[0])[..., :3]
+    above_the_legend = picture[: int(0.85 * len(picture))]
+    assert result.missing == ()
+    for colour in COLOURS[: len(configurations)]:
+        away = np.abs(above_the_legend - np.array(to_rgb(colour))).max(-1)
+        assert (away < 0.05).sum() > 10
 
 
 def test_learning_is_a_panel_per_target(tmp_path: Path, make_runs: Make, rows: Rows) -> None:
