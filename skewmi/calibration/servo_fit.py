@@ -229,13 +229,17 @@ def minimised(
         jacobian: Of a vector's residual, rad, (p,) -> (m, 7, p); by differences without it.
     """
 
+    low, high = bounds
+
     def weighted(vectors: Array) -> Array:
-        found = residual(vectors) * weight[:, None]
+        # Rounding takes a step that ends on a bound past it, where a servo may be none.
+        within = np.clip(vectors, low[:, None], high[:, None])
+        found = residual(within) * weight[:, None]
         return found.reshape(-1, found.shape[-1])
 
     def slopes(at: Array, _: Array) -> Array:
         assert jacobian is not None
-        rows = jacobian(at.ravel()) * weight[:, None]
+        rows = jacobian(np.clip(at.ravel(), low, high)) * weight[:, None]
         return rows.reshape(-1, rows.shape[-1])
 
     found, _ = minimize.least_squares(
@@ -249,7 +253,7 @@ def minimised(
         verbose=minimize.Verbosity.SILENT,
         x_scale="jac",
     )
-    best: Array = found.ravel()
+    best: Array = np.clip(found.ravel(), low, high)
     return best
 
 
