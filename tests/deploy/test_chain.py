@@ -114,7 +114,7 @@ class Fumbling:
 def test_lock_step_waits_for_commands_of_the_fingers_too(
     lock_step_robot: str, tmp_path: Path
 ) -> None:
-    measured = []
+    measured: list[dict[int, Array]] = []
     for name in ("first", "second"):
         path = tmp_path / f"{name}.mcap"
         options = DeployOptions(seed=7, connect=lock_step_robot, lock_step=True, record=path)
@@ -125,11 +125,13 @@ def test_lock_step_waits_for_commands_of_the_fingers_too(
             for topic in (topics.YUMI_JOINT_STATES, topics.POLICY_ACTION)
         )
         # What was before is the way to the start, from wherever the arm was.
-        began_ns, ended_ns = actions[0].stamp_ns, actions[-1].stamp_ns
-        during = [state for state in states if began_ns <= state.stamp_ns <= ended_ns]
-        measured.append(np.array([state.position for state in during]))
-    assert np.ptp(measured[0][:, -1]) > 0.005, "the fingers hardly moved: nothing is shown"
-    np.testing.assert_array_equal(*measured)
+        began_ns = actions[0].stamp_ns
+        measured.append({state.stamp_ns - began_ns: state.position for state in states})
+    # A busy computer may lose some of what is recorded, and an action, but hardly the first.
+    both = sorted(at for at in measured[0].keys() & measured[1].keys() if at >= 0)
+    first, second = (np.array([each[at] for at in both]) for each in measured)
+    assert np.ptp(first[:, -1]) > 0.005, "the fingers hardly moved: nothing is shown"
+    np.testing.assert_array_equal(first, second)
 
 
 @pytest.mark.parametrize(

@@ -110,7 +110,7 @@ class PolicyMotion:
         # After a late cycle the next action is due as much sooner.
         self._wait_cycles -= splice // CYCLE_TICKS
         self._acted = None
-        if self._wait_cycles < 0:
+        if acts := self._wait_cycles < 0:
             self._wait_cycles = max(0, self._wait_cycles + self._step_cycles)
             observation = self._observe(state)
             if self._is_decided(observation):
@@ -128,7 +128,7 @@ class PolicyMotion:
         if self._planner.held_back is not None:
             self.held_back += 1
             self.held_back_reason = self._planner.held_back
-        if self._acted is not None and self.commander.opening is not None:
+        if acts and self.commander.opening is not None:
             # For when the chunk begins, and before it: it is what a robot in lock-step waits for.
             self._robot.open_gripper(self.commander.opening, state.stamp_ns + self._lead_ns)
         return chunk
