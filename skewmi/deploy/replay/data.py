@@ -188,7 +188,8 @@ def rotation_of(quaternion_wxyz: tuple[float, ...]) -> Array:
 def tracking_error(commanded: Motion, measured: Motion) -> Series:
     """Commanded minus measured hand, while a command is in force.
 
-    Between runs of chunks nothing is commanded, and a simulated arm may be put elsewhere.
+    Between runs of chunks nothing is commanded, and a simulated arm may be put elsewhere: in
+    lock-step, while time stands still. So of several measurements of one time none counts.
 
     Returns:
         x, y, z in world, m, at the times of those measurements.
@@ -199,7 +200,8 @@ def tracking_error(commanded: Motion, measured: Motion) -> Series:
     after = np.searchsorted(commanded.time_s, measured.time_s)
     last = len(commanded.time_s) - 1
     gap = commanded.time_s[np.minimum(after, last)] - commanded.time_s[np.maximum(after - 1, 0)]
-    during = (after > 0) & (after <= last) & (gap < REGULAR_S)
+    again = np.diff(measured.time_s, prepend=-np.inf, append=np.inf) == 0.0
+    during = (after > 0) & (after <= last) & (gap < REGULAR_S) & ~(again[1:] | again[:-1])
     time_s, hand = measured.time_s[during], commanded.hand_w
     at_measured = [np.interp(time_s, commanded.time_s, hand[:, axis]) for axis in range(3)]
     nothing = measured.q[during, :0]

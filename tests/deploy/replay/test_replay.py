@@ -138,3 +138,20 @@ def test_arm_moved_while_nothing_is_commanded_is_no_tracking_error(recorded: Pat
     assert not ((error.time_s > 0.81) & (error.time_s < 1.19)).any()
     assert len(error.time_s) > len(measured.time_s) / 2
     assert np.abs(error.values).max() <= before + 1e-12
+
+
+def test_arm_moved_while_time_stands_still_is_no_tracking_error(recorded: Path) -> None:
+    """In lock-step a scene is reset, and the arm put elsewhere, between two states of one time."""
+    run = understand(read_recording(recorded))
+    measured, plain = run.measured, tracking_error(run.commanded, run.measured)
+    at = int(np.searchsorted(measured.time_s, plain.time_s[len(plain.time_s) // 2]))
+    twice = np.insert(np.arange(len(measured.time_s)), at, at)
+    moved = measured.q[twice]
+    moved[at + 1] += 0.3
+    nothing = moved[:, :0]
+    again = Motion(measured.time_s[twice], moved, nothing, nothing, nothing)
+    found = tracking_error(run.commanded, again)
+    kept = plain.time_s != measured.time_s[at]
+    assert not kept.all()
+    np.testing.assert_array_equal(found.time_s, plain.time_s[kept])
+    np.testing.assert_allclose(found.values, plain.values[kept], atol=1e-12)
