@@ -6,6 +6,7 @@ from collections import deque
 
 from skewmi.deploy.robot.backend import RobotBackend
 from skewmi.deploy.robot.controller import RobotController
+from skewmi.deploy.robot.gripper.base import check_opening
 from skewmi.deploy.robot.refusals import Refusal, printable
 from skewmi.deploy.robot.states import ACCEPTS_COMMANDS, ServerEvent, ServerState
 from skewmi.deploy.robot.workspaces import check_scene_is_shut
@@ -216,10 +217,7 @@ class RobotRequests:
             return
         controller.check_accepting()
         controller.lease.check_gripper(gid, sequence)
-        if not 0.0 <= opening <= yumi.GRIPPER.travel:
-            raise CommandRefusedError(
-                f"finger opening {opening:.4g} m is outside 0..{yumi.GRIPPER.travel:g} m"
-            )
+        check_opening(opening)
         self._openings.append((command.stamp_ns, opening))
         controller.lease.renew_gripper(gid, sequence)
 

@@ -14,8 +14,9 @@ import numpy as np
 
 from skewmi.deploy.robot.backend import RobotBackend, RobotState, Scene
 from skewmi.deploy.robot.backends import BackendOptions
+from skewmi.deploy.robot.gripper.base import check_opening
 from skewmi.deploy.robot.pace import Beat, Pace, make_pace
-from skewmi.errors import CommandRefusedError, ConfigurationError
+from skewmi.errors import ConfigurationError
 from skewmi.policy_io import Array
 from skewmi.robot_models import yumi
 from skewmi.trajectory import GRID_NS, JointPoint
@@ -115,10 +116,7 @@ class HoldBackend:
         Raises:
             CommandRefusedError: Not one.
         """
-        if not 0.0 <= opening <= yumi.GRIPPER.travel:
-            raise CommandRefusedError(
-                f"finger opening {opening:.4g} m is outside 0..{yumi.GRIPPER.travel:g} m"
-            )
+        check_opening(opening)
         self._opening = opening
 
     def told(self) -> Mapping[str, str]:

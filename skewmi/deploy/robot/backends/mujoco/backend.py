@@ -12,11 +12,11 @@ from skewmi.deploy.robot.backend import BackendFaultError, LinkErrors, RobotBack
 from skewmi.deploy.robot.backends import BackendOptions
 from skewmi.deploy.robot.backends.mujoco.scene import MujocoScene
 from skewmi.deploy.robot.backends.mujoco.simulation import ArmSimulation
+from skewmi.deploy.robot.gripper.base import check_opening
 from skewmi.deploy.robot.pace import Beat, Pace, make_pace
 from skewmi.deploy.wire.simulation_status import SCENE_POSES
-from skewmi.errors import CommandRefusedError, ConfigurationError
+from skewmi.errors import ConfigurationError
 from skewmi.robot_models import yumi
-from skewmi.sim.arm.definition import FINGER_MAX
 from skewmi.trajectory import GRID_NS, JointPoint
 
 _log = logging.getLogger(__name__)
@@ -109,10 +109,7 @@ class MujocoBackend:
         Raises:
             CommandRefusedError: Not an opening of the fingers.
         """
-        if not 0.0 <= opening <= FINGER_MAX:
-            raise CommandRefusedError(
-                f"finger opening {opening:.4g} m is outside 0..{FINGER_MAX:g} m"
-            )
+        check_opening(opening)
         self.simulation.open_gripper(opening)
 
     def link_errors(self) -> LinkErrors | None:
