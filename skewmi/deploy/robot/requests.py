@@ -32,7 +32,7 @@ class RobotRequests:
     def __init__(self, backend: RobotBackend, controller: RobotController) -> None:
         self._backend = backend
         self._controller = controller
-        self._openings: deque[tuple[int, float]] = deque(maxlen=MOST_WAITING)
+        self._openings: deque[tuple[int, bytes, float]] = deque(maxlen=MOST_WAITING)
         self.stops = 0
         """How often somebody asked to stop, in whatever state: a commander that was between two
         episodes must not take the arm again as if nothing had been said."""
@@ -218,25 +218,27 @@ class RobotRequests:
         controller.check_accepting()
         controller.lease.check_gripper(gid, sequence)
         check_opening(opening)
-        self._openings.append((command.stamp_ns, opening))
+        self._openings.append((command.stamp_ns, gid, opening))
         controller.lease.renew_gripper(gid, sequence)
 
     def move_fingers(self) -> None:
-        """Carry out the gripper commands whose time has come; call it in every cycle."""
-        if not self._openings:
-            return
-        if self._controller.state not in ACCEPTS_COMMANDS:
-            self._openings.clear()
-            return
+        """Carry out the gripper commands whose time has come; call it in every cycle.
+
+        Those of a commander who is none any more are forgotten, however soon the next one came.
+        """
+        controller = self._controller
+        accepting = controller.state in ACCEPTS_COMMANDS
         for _ in range(len(self._openings)):
-            at_ns, opening = self._openings.popleft()
-            if at_ns > self._controller.clock_ns:
-                self._openings.append((at_ns, opening))
+            at_ns, gid, opening = self._openings.popleft()
+            if not accepting or gid != controller.lease.gripper_holder:
+                continue
+            if at_ns > controller.clock_ns:
+                self._openings.append((at_ns, gid, opening))
                 continue
             try:
                 self._backend.open_gripper(opening)
             except CommandRefusedError as error:
-                self._controller.refusals.note(Refusal(f"gripper: {error}", of_commander=True))
+                controller.refusals.note(Refusal(f"gripper: {error}", of_commander=True))
 
     def open_gripper(self, opening: float, gid: bytes, sequence: int | None = None) -> None:
         """Move the fingers, for the commander only.

@@ -221,6 +221,12 @@ def test_fingers_that_wait_obey_the_commander_only_and_no_more_once_it_is_gone(
     robot.requests.arm(OURS + GRIPPER, 0)
     robot.run(10)
     assert finger_target(simulation) == before, "what waited for another commander is forgotten"
+    # The next one between two cycles: the robot is never seen without a commander.
+    robot.requests.follow_gripper(opening_for(robot, 3, 0.01), GRIPPER, 1)
+    robot.requests.disarm(OURS)
+    robot.requests.arm(OTHER + OURS, 0)
+    robot.run(10)
+    assert finger_target(simulation) == before, "what waited for another commander is forgotten"
     assert robot.refusals() == []
 
 
