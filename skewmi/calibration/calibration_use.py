@@ -49,8 +49,10 @@ def require_robot(calibration: Calibration, robot: str, speed_share: float | Non
         )
 
 
-def servo_constants(calibration: Calibration) -> ServoConstants | None:
+def servo_constants(calibration: Calibration | None) -> ServoConstants | None:
     """What feed-forward takes of it; None if neither servos nor a controller were calibrated."""
+    if calibration is None:
+        return None
     servo, egm = calibration.servo, calibration.egm
     if egm is not None:
         # What is not sent of the speed, the law's gain makes of an error that it needs for it.

@@ -106,9 +106,7 @@ def _run(
         planned_episodes=options.episodes,
     )
     known = None if options.calibration is None else read_calibration(options.calibration)
-    serves = known is not None and (
-        servo_constants(known) is not None or box_displacement(known) is not None
-    )
+    serves = servo_constants(known) is not None or box_displacement(known) is not None
     if known is not None and options.starts_robot:
         # Before a robot is started: it would say the same, and nobody would see it.
         require_robot(known, _served(options.robot))
@@ -202,7 +200,7 @@ def _metadata(
     """What the run is about."""
     from skewmi.deploy.session.pace import planning_limits
 
-    servos = None if known is None else servo_constants(known)
+    servos = servo_constants(known)
     reply = link.call(topics.YUMI_DESCRIBE, 5.0, SCENE_REQUEST, only=trust.server)
     description = RobotDescription.from_json(reply.message)
     limits = admitted(planning_limits(options.limits, options.speed, servos), description)

@@ -66,7 +66,7 @@ def connect(
         TransportError: It does not answer.
         TooBusyError: This computer is too busy, and the simulated robot of this run could wait.
     """
-    layout, servos = policy.layout, None if known is None else servo_constants(known)
+    layout, servos = policy.layout, servo_constants(known)
     shown = PolicyTopics.open(link, layout)
     robot, status, trust = _ends_of(link, shown, options)
     described = trust.meet(with_scene=True)
