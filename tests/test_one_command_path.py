@@ -213,15 +213,8 @@ def deployed(
     motion = PolicyMotion(
         Policy(), parts, parts, parts, cast(Any, robot), cast(Any, topics), times, LOOKS, stiffness
     )
-    loop = ControlLoop(
-        cast(Any, robot),
-        parts,
-        parts,
-        times,
-        cast(Any, SimpleNamespace(clock_ns=0)),
-        threading.Event(),
-        lock_step=True,
-    )
+    status, end = cast(Any, SimpleNamespace(clock_ns=0)), threading.Event()
+    loop = ControlLoop(cast(Any, robot), parts, parts, times, status, end, lock_step=True)
     arm.integrator = motion.commander.integrator
     loop.run(motion, hands[0], arm.state())
     assert motion.steps == len(actions)
@@ -265,8 +258,7 @@ def test_any_hands_are_commanded_the_same_in_training_and_deployed(
     moves = rng.uniform(-0.005, 0.005, (steps * LOOKS, arms, 3))
     rests = rng.random((steps * LOOKS, arms, 1)) < rest
     walk = np.array(workspace.start) + np.cumsum(np.where(rests, 0.0, moves), axis=0)
-    root = rng.uniform(-0.6, 0.6, (3, 3))
-    stiffness = root @ root.T if soft else None
+    stiffness = (root := rng.uniform(-0.6, 0.6, (3, 3))) @ root.T if soft else None
     assert_equal(np.clip(walk, workspace.low, workspace.high), push, scene, stiffness)
 
 
