@@ -26,8 +26,9 @@ from skewmi.errors import ConfigurationError, LimitViolationError
 from skewmi.robot_models.limits import JointLimits
 from skewmi.trajectory import CYCLE_TICKS, GRID_S, Array, JointTrajectory
 
-LONGEST_STOP_S = 1.6
-"""A chunk may have 500 points, 2 s."""
+LONGEST_STOP_S = 1.9
+"""A chunk may have 500 points, 2 s, and its own five samples are part of it. Some excitations within
+`careful` need more than 1.6 s."""
 SHORTEST_STOP_S = 0.04
 _LADDER = 1.2
 """Ratio of one stop's time to the next shorter one that is tried."""
@@ -108,7 +109,7 @@ class PathMotion:
             raise LimitViolationError(
                 f"acceleration or jerk of a stop within {LONGEST_STOP_S:g} s, as part of its limit",
                 float(use),
-                1.0,
+                HEADROOM,
                 f"at {splices[undone[0]] * GRID_S:.2f} s of the motion",
             )
         return ticks
