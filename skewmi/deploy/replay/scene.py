@@ -38,13 +38,15 @@ class RobotView:
         self._tree: Any = None
 
     def draw(self, motion: Motion, fingers: Series) -> None:
-        """Move the robot; its shapes are logged with the first motion."""
-        if not len(motion.time_s):
-            return
-        self._lay_out()
-        for index, joint in enumerate(yumi.joint_names("right")):
-            self._turn(joint, motion.time_s, motion.q[:, index])
-        if fingers.names:
+        """Move the robot; its shapes are logged with the first motion.
+
+        Fingers go on where the arm does not: a live view's stretch may be without a command.
+        """
+        if len(motion.time_s):
+            self._lay_out()
+            for index, joint in enumerate(yumi.joint_names("right")):
+                self._turn(joint, motion.time_s, motion.q[:, index])
+        if self._tree is not None and fingers.names:
             for joint in yumi.finger_names("right"):
                 self._turn(joint, fingers.time_s, fingers.values[:, 0])
 

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any, cast
+
 import mujoco
 import numpy as np
+import rerun as rr
 from recorded_motion import SCENE
 from rerun.chunk import RrdReader
 
+from skewmi.deploy.replay.data import Motion, Series, no_motion, no_series
 from skewmi.deploy.replay.replay import write_replay
+from skewmi.deploy.replay.scene import RobotView
 from skewmi.deploy.robot.backends.mujoco.scene_geometry import scene_geometry
 from skewmi.deploy.wire.scene_geometry import SceneGeometry
+from skewmi.robot_models import yumi
+from skewmi.robot_models.base_frame import NOMINAL_BASE
 
 
 def test_scene_geometry_leaves_out_robot_and_floor_and_moves_as_mujoco_does():
@@ -61,3 +69,24 @@ def test_hinge_in_the_file_turns_about_its_axis(recorded, tmp_path):
         xyzw = np.array(quaternion[row][0])
         mujoco.mju_rotVecQuat(moved, np.array(plate.position), np.roll(xyzw, 1))
         np.testing.assert_allclose(moved + translation[row][0], data.geom("plate").xpos, atol=1e-6)
+
+
+def test_fingers_move_in_a_stretch_without_a_command():
+    """A live view gets them so between two runs of commands; a replay has one stretch alone."""
+    drawn: list[tuple[str, list[float]]] = []
+    canvas = SimpleNamespace(
+        recording=rr.RecordingStream("fingers"),
+        style=lambda entity, *parts: None,
+        columns=lambda entity, time_s, columns: drawn.append((entity, list(time_s))),
+    )
+    view = RobotView(cast(Any, canvas), "commanded", NOMINAL_BASE, ghost=True)
+    fingers = Series(np.array([1.0, 1.02]), ("finger",), np.array([[0.01], [0.011]]))
+    view.draw(no_motion(), fingers)
+    assert not drawn, "there is nothing to move yet"
+    nothing = np.zeros((1, 0))
+    view.draw(Motion(np.zeros(1), np.zeros((1, 7)), nothing, nothing, nothing), no_series())
+    assert len(drawn) == 7
+    view.draw(no_motion(), fingers)
+    moved = drawn[7:]
+    assert {entity.split("/")[-1] for entity, _ in moved} == set(yumi.finger_names("right"))
+    assert all(times == [1.0, 1.02] for _, times in moved)
