@@ -27,8 +27,8 @@ from skewmi.robot_models.limits import JointLimits
 from skewmi.trajectory import CYCLE_TICKS, GRID_S, Array, JointTrajectory
 
 LONGEST_STOP_S = 1.9
-"""A chunk may have 500 points, 2 s, and its own five samples are part of it. Some excitations within
-`careful` need more than 1.6 s."""
+"""A chunk may have 500 points, 2 s, and its own five samples are part of it. Some excitations
+within `careful` need more than 1.6 s."""
 SHORTEST_STOP_S = 0.04
 _LADDER = 1.2
 """Ratio of one stop's time to the next shorter one that is tried."""
