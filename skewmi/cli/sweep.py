@@ -31,7 +31,7 @@ from skewmi.sweep.engine import Engine, LocalEngine, usable_cores
 from skewmi.sweep.plan import Plan, make_plan, require_same_runs
 from skewmi.sweep.results import collect
 from skewmi.sweep.run_folder import is_done, read_progress
-from skewmi.sweep.sweep_file import MAX_SEEDS, SweepFile, narrowed, read_sweep_file
+from skewmi.sweep.sweep_file import MAX_SEEDS, Part, SweepFile, narrowed, read_sweep_file
 from skewmi.sweep.tables import SWEEP, write_tables
 from skewmi.train.files import write_text
 from skewmi.train.lock import BusyError, only_training
@@ -58,6 +58,10 @@ class SweepCommand:
     of this machine alone."""
     groups: tuple[str, ...] = ()
     """Only these groups of the file; runs that others share with them are not run again later."""
+    tasks: tuple[str, ...] = ()
+    """Only these tasks of each group."""
+    configurations: tuple[str, ...] = ()
+    """Only these configurations of each group, by the names that the file gives them."""
     seeds: int | None = None
     """Only so many seeds of each group, the first ones."""
     steps: int | None = None
@@ -79,12 +83,8 @@ def run_sweep(options: SweepCommand) -> int:
         raise ConfigurationError("--address is of a Ray cluster: give --engine ray, too")
     numbers.require("--seeds", options.seeds, 1, MAX_SEEDS)
     numbers.require("--steps", options.steps, 1, MAX_STEPS)
-    sweep = narrowed(
-        read_sweep_file(options.file),
-        groups=options.groups,
-        seeds=options.seeds,
-        steps=options.steps,
-    )
+    part = Part(options.groups, options.tasks, options.configurations, options.seeds, options.steps)
+    sweep = narrowed(read_sweep_file(options.file), part)
     numbers.require("threads", sweep.threads, 1, numbers.MAX_THREADS)
     plan = make_plan(sweep, starting_config)
     for run in plan.runs:

@@ -134,38 +134,74 @@ def parse_sweep(text: str, name: str) -> SweepFile:
     )
 
 
-def narrowed(
-    sweep: SweepFile, *, groups: Sequence[str] = (), seeds: int | None, steps: int | None
-) -> SweepFile:
-    """A part of a sweep; what both have in common are the same runs, but where steps are fewer.
+@dataclass(frozen=True)
+class Part:
+    """Of a sweep, to run or to collect it alone; what it has in common with the whole are the same
+    runs, but where steps are fewer.
 
-    Args:
-        sweep: The whole.
-        groups: Names of those to keep; none: all.
+    Attributes:
+        groups, tasks, configurations: Names of those to keep; none: all.
         seeds: How many of each group's, the first ones; None: all.
         steps: Of every run; None: what the file says.
+    """
+
+    groups: Sequence[str] = ()
+    tasks: Sequence[str] = ()
+    configurations: Sequence[str] = ()
+    seeds: int | None = None
+    steps: int | None = None
+
+
+def narrowed(sweep: SweepFile, part: Part) -> SweepFile:
+    """A part of a sweep. Groups of which nothing is left are left out.
 
     Raises:
-        NotFoundError: There is no such group.
+        NotFoundError: There is no such group, or none of the chosen ones has such a task or
+            configuration; or nothing has both.
     """
-    known = [group.name for group in sweep.groups]
-    unknown = [name for name in groups if name not in known]
-    if unknown:
-        raise NotFoundError(f"no group {', '.join(unknown)}; groups are {', '.join(known)}")
+    _known([group.name for group in sweep.groups], part.groups, "group")
+    groups = [group for group in sweep.groups if not part.groups or group.name in part.groups]
+    _known([task for group in groups for task in group.tasks], part.tasks, "task")
+    names = [c.name for group in groups for c in group.configurations]
+    _known(names, part.configurations, "configuration")
+    kept = [_part_of(group, part) for group in groups]
+    kept = [group for group in kept if group.tasks and group.configurations]
+    if not kept:
+        raise NotFoundError(
+            f"no group has configuration {' or '.join(map(_quoted, part.configurations))} on task "
+            f"{' or '.join(part.tasks)}"
+        )
+    return replace(sweep, groups=tuple(kept))
 
-    def part(group: Group) -> Group:
-        chosen = group.seeds if seeds is None else group.seeds[:seeds]
-        if steps is None:
-            return replace(group, seeds=chosen)
-        shorter = tuple(
+
+def _part_of(group: Group, part: Part) -> Group:
+    configurations = [
+        c for c in group.configurations if not part.configurations or c.name in part.configurations
+    ]
+    if part.steps is not None:
+        configurations = [
             replace(c, numbers={k: v for k, v in c.numbers.items() if k != "steps"}
-                    | {"total_steps": steps})
-            for c in group.configurations
-        )  # fmt: skip
-        return replace(group, seeds=chosen, configurations=shorter)
+                    | {"total_steps": part.steps})
+            for c in configurations
+        ]  # fmt: skip
+    return replace(
+        group,
+        tasks=tuple(task for task in group.tasks if not part.tasks or task in part.tasks),
+        configurations=tuple(configurations),
+        seeds=group.seeds if part.seeds is None else group.seeds[: part.seeds],
+    )
 
-    kept = [group for group in sweep.groups if not groups or group.name in groups]
-    return replace(sweep, groups=tuple(map(part, kept)))
+
+def _known(known: Sequence[str], asked: Sequence[str], what: str) -> None:
+    unknown = [name for name in asked if name not in known]
+    if unknown:
+        allowed = ", ".join(dict.fromkeys(map(_quoted, known)))
+        raise NotFoundError(f"no {what} {', '.join(map(_quoted, unknown))}; {what}s are {allowed}")
+
+
+def _quoted(name: str) -> str:
+    """A name that can be told from its neighbours in a list."""
+    return f'"{name}"' if "," in name else name
 
 
 def _group(

@@ -80,6 +80,8 @@ def test_mistakes_are_one_line_and_leave_nothing(
         (["--seeds", "0"], "--seeds is 0"),
         (["--steps", "0"], "--steps is 0"),
         (["--groups", "maze", "door"], "no group door; groups are maze"),
+        (["--tasks", "door_open"], "no task door_open; tasks are point_maze"),
+        (["--configurations", "fast"], "no configuration fast; configurations are "),
     ],
 )
 def test_options_that_mean_nothing_are_refused(

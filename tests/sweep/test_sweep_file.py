@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from skewmi.errors import ConfigurationError, NotFoundError
-from skewmi.sweep.sweep_file import narrowed, parse_sweep, read_sweep_file
+from skewmi.sweep.sweep_file import Part, narrowed, parse_sweep, read_sweep_file
 
 SHORT = "groups: {a: {tasks: [t], configurations: [p]}}"
 FILES = sorted((Path(__file__).parents[2] / "sweeps").glob("*.yaml"))
@@ -100,9 +101,44 @@ def test_a_part_of_a_sweep() -> None:
         "  b: {tasks: [t], configurations: [p], set: {total_steps: 8}}",
         "f",
     )
-    assert narrowed(sweep, seeds=None, steps=None) == sweep
-    (group,) = narrowed(sweep, groups=["a"], seeds=2, steps=3).groups
+    assert narrowed(sweep, Part()) == sweep
+    (group,) = narrowed(sweep, Part(groups=["a"], seeds=2, steps=3)).groups
     assert (group.name, group.seeds) == ("a", (5, 6))
     assert [dict(c.numbers) for c in group.configurations] == [{"total_steps": 3}] * 2
     with pytest.raises(NotFoundError, match="no group c; groups are a, b"):
-        narrowed(sweep, groups=["c"], seeds=None, steps=None)
+        narrowed(sweep, Part(groups=["c"]))
+
+
+def test_tasks_and_configurations_are_kept_in_every_group_that_has_them() -> None:
+    sweep = parse_sweep(
+        "groups:\n"
+        "  a: {tasks: [t, u], configurations: [p, {name: 'x, y', preset: q}]}\n"
+        "  b: {tasks: [u], configurations: [r, p]}\n"
+        "  c: {tasks: [t], configurations: [r]}\n",
+        "f",
+    )
+
+    def kept(**part: Any) -> dict[str, tuple[tuple[str, ...], list[str]]]:
+        groups = narrowed(sweep, Part(**part)).groups
+        return {
+            group.name: (group.tasks, [c.name for c in group.configurations]) for group in groups
+        }
+
+    assert kept(configurations=["p"]) == {"a": (("t", "u"), ["p"]), "b": (("u",), ["p"])}
+    assert kept(configurations=["x, y"]) == {"a": (("t", "u"), ["x, y"])}
+    assert kept(tasks=["t"]) == {"a": (("t",), ["p", "x, y"]), "c": (("t",), ["r"])}
+    assert kept(tasks=["u"], configurations=["r"], groups=["b", "c"]) == {"b": (("u",), ["r"])}
+    with pytest.raises(NotFoundError, match='no configuration z; configurations are p, "x, y", r'):
+        kept(configurations=["z"])
+    with pytest.raises(NotFoundError, match="no task u; tasks are t"):
+        kept(groups=["c"], tasks=["u"])
+    with pytest.raises(NotFoundError, match='no group has configuration "x, y" on task u'):
+        narrowed(
+            parse_sweep(
+                "groups:\n"
+                "  a: {tasks: [t], configurations: [{name: 'x, y', preset: q}]}\n"
+                "  b: {tasks: [u], configurations: [p]}\n",
+                "f",
+            ),
+            Part(tasks=["u"], configurations=["x, y"]),
+        )
