@@ -37,7 +37,7 @@ import torch
 from common import argument_parser, print_result, progress, write_result
 from plain_sac import PlainSac
 from stable_baselines3 import SAC
-from stable_baselines3.common.logger import configure
+from stable_baselines3.common.logger import Logger
 from update_products import UpdateProducts
 
 from skewmi.sim import tasks
@@ -151,7 +151,7 @@ def make_peer(hidden: Hidden, batch_size: int, inputs: int) -> Callable[[int], N
         "MlpPolicy", Shape(inputs), batch_size=batch_size, buffer_size=50_000, device="cpu",
         policy_kwargs={"net_arch": list(hidden)}, seed=0,
     )  # fmt: skip
-    model.set_logger(configure(None, []))
+    model.set_logger(Logger(None, []))  # another makes a folder and leaves it
     buffer, rng = model.replay_buffer, np.random.default_rng(0)
     for _ in range(5_000):
         x = rng.random((2, 1, inputs), dtype=np.float32)

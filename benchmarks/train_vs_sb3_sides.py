@@ -207,6 +207,7 @@ def _train_ours(seed: int, steps: int | None, judge_of: JudgeOf) -> tuple[Judge,
 def _train_peer(arguments: dict[str, Any], seed: int, judge_of: JudgeOf) -> tuple[Judge, int]:
     from stable_baselines3 import SAC, HerReplayBuffer
     from stable_baselines3.common.callbacks import BaseCallback
+    from stable_baselines3.common.logger import Logger
 
     watch = Stopwatch()
     env = PeerMaze()
@@ -214,6 +215,7 @@ def _train_peer(arguments: dict[str, Any], seed: int, judge_of: JudgeOf) -> tupl
         "MultiInputPolicy", env, replay_buffer_class=HerReplayBuffer, device="cpu", seed=seed,
         policy_kwargs={"net_arch": list(HIDDEN)}, **arguments,
     )  # fmt: skip
+    model.set_logger(Logger(None, []))  # its own makes a folder every time, and leaves it
 
     def act(observation: np.ndarray) -> np.ndarray:
         place = observation[:, :2]
