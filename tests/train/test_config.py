@@ -113,15 +113,15 @@ def test_a_task_may_bring_presets(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("task", sorted({task for task, name in PRESETS if name == "paper"}))
-def test_the_reduced_budget_is_the_paper_with_a_tenth_of_the_gradient_samples(task: str) -> None:
+def test_the_reduced_budget_is_the_paper_with_an_eighth_of_the_gradient_samples(task: str) -> None:
     """All else is equal, in all five configurations."""
     for ending in ("", "-skew-fit", "-ppo", "-ppo-skew-fit", "-ppo-rnd"):
         paper, reduced = preset(task, f"paper{ending}"), preset(task, f"paper-reduced{ending}")
         if isinstance(paper.learner, SacConfig):
             assert isinstance(reduced.learner, SacConfig)
-            assert reduced.learner.batch_size == paper.learner.batch_size
-            assert reduced.learner.updates_per_step == 0.1 * paper.learner.updates_per_step
-            learner = replace(reduced.learner, updates_per_step=paper.learner.updates_per_step)
+            assert reduced.learner.updates_per_step == paper.learner.updates_per_step
+            assert 8 * reduced.learner.batch_size == paper.learner.batch_size
+            learner = replace(reduced.learner, batch_size=paper.learner.batch_size)
             rollout = replace(reduced.rollout, num_envs=paper.rollout.num_envs)
             reduced = replace(reduced, learner=learner, rollout=rollout)
         assert replace(reduced, preset=paper.preset) == paper

@@ -1,6 +1,6 @@
 """Starting points of runs, by task and name.
 
-`paper` is faithful to the publication, `paper-reduced` the same with a tenth of its gradient
+`paper` is faithful to the publication, `paper-reduced` the same with an eighth of its gradient
 samples, `improved` the same method with our numbers, `improved-return-then-explore` the quickest
 and where a task has it the default; `paper-ppo`, `paper-skew-fit` and the like are the other
 methods of its comparison (`methods.py`). Each task's are in a file of their own, which is the only
