@@ -136,8 +136,9 @@ def parse_sweep(text: str, name: str) -> SweepFile:
 
 @dataclass(frozen=True)
 class Part:
-    """Of a sweep, to run or to collect it alone; what it has in common with the whole are the same
-    runs, but where steps are fewer.
+    """Which part of a sweep to run or to collect alone.
+
+    Its runs are those of the whole sweep, but where steps are fewer.
 
     Attributes:
         groups, tasks, configurations: Names of those to keep; none: all.
@@ -169,7 +170,7 @@ def narrowed(sweep: SweepFile, part: Part) -> SweepFile:
     if not kept:
         raise NotFoundError(
             f"no group has configuration {' or '.join(map(_quoted, part.configurations))} on task "
-            f"{' or '.join(part.tasks)}"
+            f"{' or '.join(part.tasks)}; --dry-run lists the runs that there are"
         )
     return replace(sweep, groups=tuple(kept))
 
