@@ -52,6 +52,9 @@ _LOST_S = 5.0
 """A robot server that has said nothing for so long may be another one when it comes back."""
 _REPLACED_S = 0.5
 """The same if somebody else has told joint states meanwhile."""
+_QUIET_S = 0.3
+"""Nothing is told of the scene's publisher to a robot server that has said nothing for so long: one
+that was started again would have its sessions believe a publisher that is about to be replaced."""
 _CROWD = 1_000
 """Unread joint states that are kept of everybody; see the session's observer."""
 _MOST = 64
@@ -149,7 +152,7 @@ class SceneLink:
             opened.reset.poll()
             now_s = time.monotonic()
             self._publish_states(opened, now_s)
-            if now_s >= self._next_status_s:
+            if now_s >= self._next_status_s and now_s - opened.heard_s < _QUIET_S:
                 self._next_status_s = now_s + STATUS_PERIOD_S
                 opened.status.put(self._status(opened.scene.gid))
         except TransportError as error:

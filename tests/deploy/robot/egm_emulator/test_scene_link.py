@@ -17,12 +17,17 @@ from robot_servers import NAMES, description
 from strangers import FALSE, LATER_NS, joints
 
 from skewmi.deploy.robot.backend import SceneState
-from skewmi.deploy.robot.backends.egm.scene import EMULATOR_RESET, ResetRequest
+from skewmi.deploy.robot.backends.egm.scene import (
+    EMULATOR_RESET,
+    EMULATOR_STATUS,
+    SCENE_PUBLISHER,
+    ResetRequest,
+)
 from skewmi.deploy.robot.egm_emulator.scene_link import SceneLink
 from skewmi.deploy.robot.process import free_port
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.channels import LatestReader, Publisher
-from skewmi.deploy.wire.messages import TriggerReply, decode_joint_states
+from skewmi.deploy.wire.messages import TriggerReply, decode_joint_states, decode_status
 from skewmi.deploy.wire.transport import Link, TransportConfig
 from skewmi.trajectory import Array
 
@@ -37,6 +42,12 @@ class Server:
     link: Link
     joints: Publisher
     scene: LatestReader
+    status: LatestReader
+
+    def named(self) -> list[str]:
+        """Publishers of the scene that an emulator has named since the last call."""
+        statuses = (decode_status(sample.payload) for sample in self.status.drain())
+        return [status.values[SCENE_PUBLISHER] for status in statuses]
 
     def stamps(self) -> list[int]:
         """Of scene states that came since the last call."""
@@ -50,7 +61,8 @@ def server(locator: str, *, names_publisher: bool = True) -> Iterator[Server]:
         named = {topics.YUMI_JOINT_STATES.name: (told.gid.hex(),)} if names_publisher else {}
         answer = TriggerReply(True, description(publishers=named).to_json())
         link.service(topics.YUMI_DESCRIBE, lambda request: answer)
-        yield Server(link, told, link.subscribe(topics.YUMI_SCENE_STATES, depth=None))
+        scene = link.subscribe(topics.YUMI_SCENE_STATES, depth=None)
+        yield Server(link, told, scene, link.subscribe(EMULATOR_STATUS, depth=None))
 
 
 @contextmanager
@@ -140,6 +152,30 @@ def test_robot_server_that_was_started_again_is_found(others: bool) -> None:
     with scene_at(locator) as scene:
         hear(scene, locator, others=others)
         hear(scene, locator, others=others)
+
+
+def test_publisher_that_is_about_to_be_replaced_is_not_named() -> None:
+    """Sessions of a robot server that was started again would wait for it in vain."""
+    locator = f"tcp/127.0.0.1:{free_port()}"
+    with scene_at(locator) as scene:
+        hear(scene, locator, others=False)
+        with server(locator) as robot:
+            until(lambda: robot.link.graph.publishers(EMULATOR_STATUS), scene.serve)
+            ended = time.monotonic() + 0.5
+            while time.monotonic() < ended:
+                scene.serve()
+                time.sleep(0.004)
+            assert robot.named() == []
+            named: list[str] = []
+
+            def cycle() -> None:
+                robot.joints.put(joints(NAMES, stamp_ns=time.monotonic_ns()))
+                scene.serve()
+                named.extend(robot.named())
+
+            until(lambda: named, cycle)
+            there = robot.link.graph.publishers(topics.YUMI_SCENE_STATES)
+            assert set(named) <= {gid.hex() for gid in there}
 
 
 def asked_for(scene: SceneLink, link: Link, request: bytes) -> TriggerReply:
