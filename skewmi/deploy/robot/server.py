@@ -145,6 +145,7 @@ class RobotServer:
                     _log.info("real-time loop: %s", ", ".join(granted))
                 while not self._ended(stop):
                     self._cycle()
+                self._read()  # a robot may carry out what it was sent last in its next cycle
         finally:
             self._backend.close()
             if self._stop_path is not None:
