@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from fault_bench import Bench
 from fault_link import MOVING, FaultLink
-from fault_motion import Motion, assert_safe
+from fault_motion import GUIDED_VELOCITY, VELOCITY, Motion, assert_safe
 from fault_proxy import TcpProxy
 from fault_robot import Robot
 
@@ -21,6 +21,7 @@ from skewmi.deploy.realtime import hot_loop
 from skewmi.deploy.robot.description import RobotDescription
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.transport import Link, TransportConfig
+from skewmi.policy_io import Array
 
 SPREAD = 0.05
 """Of the start: a start motion of several centimetres, long enough for a fault in it, m."""
@@ -181,6 +182,8 @@ def run_cell(fault: Fault, phase: Phase, bench: Bench) -> Observed:
         )
         cell.join()
         description = _wait_for_rest(robot, ready=fault.taken)
+        if phase is Phase.STOPPING and fault.after_stop is not None:
+            link.hear_robot_out()
         said = f"{_said(report, link, cell)} | {description.reason}"
     rows = robot.rows()[first_row:]
     # A plan that follows an arm in somebody else's hands has moved on since it was described.
@@ -188,8 +191,9 @@ def run_cell(fault: Fault, phase: Phase, bench: Bench) -> Observed:
     motion = Motion.of(rows, end, cell.server_died_s)
     if any(motion.taken) and not fault.taken:
         raise NotReachedError("the controller's session broke in motion, without a reason")
-    shares = assert_safe(motion)
-    _resume(bench)
+    velocity = GUIDED_VELOCITY if fault.egm else VELOCITY
+    shares = assert_safe(motion, velocity)
+    _resume(bench, velocity)
     if cell.fault_s is None:
         raise NotReachedError(f"the fault did not happen: {said}")
     if motion.speed_at(cell.fault_s) < MOVING / 4:
@@ -261,7 +265,7 @@ def _verdict(report: dict[str, Any] | None, phase: Phase, motion: Motion, fault_
     return RESTS_GOES_ON if rests > 0 else GOES_ON
 
 
-def _resume(bench: Bench) -> None:
+def _resume(bench: Bench, velocity: Array) -> None:
     """Arm again and move, by another short run."""
     robot = bench.robot
     first_row = len(robot.rows())
@@ -282,4 +286,4 @@ def _resume(bench: Bench) -> None:
     end = np.array(_wait_for_rest(robot).commanded_position)
     motion = Motion.of(robot.rows()[first_row:], end)
     assert motion.path_length() > MOVED, "it did not move"
-    assert_safe(motion)
+    assert_safe(motion, velocity)

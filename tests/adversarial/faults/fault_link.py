@@ -31,6 +31,8 @@ from skewmi.trajectory import TrajectoryChunk
 SERVICE_TIMEOUT_S = 5.0
 MOVING = 0.2
 """Joint speed from which on the arm counts as moving, rad/s."""
+HEARD_OUT_S = 3.0
+"""For two statuses, of which one comes every half second."""
 DOMAIN = 0
 
 
@@ -85,6 +87,7 @@ class FaultLink:
         self.on_stopped: Callable[[], None] | None = None
         """Called once when the session's own stop has been answered by the robot server."""
         self._robot_statuses: list[Status] = []
+        self._heard = threading.Condition()
         self.last_chunk: Message | None = None
         self.times: dict[str, list[tuple[int, int]]] = {}
         """Topic -> (our monotonic clock, sender's wall clock) of all messages, ns."""
@@ -168,6 +171,16 @@ class FaultLink:
         ]
         return " | ".join(dict.fromkeys(text for text in said if text))
 
+    def hear_robot_out(self) -> None:
+        """Wait for what the robot server has yet to tell of what it was sent, if it is still there.
+
+        Refusals of others than the commander are told a little later, and who has given the arm
+        back is one of the others. Of two statuses the second was made after this call.
+        """
+        with self._heard:
+            enough = len(self._robot_statuses) + 2
+            self._heard.wait_for(lambda: len(self._robot_statuses) >= enough, HEARD_OUT_S)
+
     def _publisher(self, session: Any, topic: topics.Topic) -> Any:
         congestion = zenoh.CongestionControl
         return session.declare_publisher(
@@ -210,7 +223,9 @@ class FaultLink:
     def _from_robot(self, topic: topics.Topic, message: Message) -> None:
         out: Message | None = message
         if topic is topics.YUMI_STATUS and self.last_chunk is not None:
-            self._robot_statuses.append(decode_status(message.payload))
+            with self._heard:
+                self._robot_statuses.append(decode_status(message.payload))
+                self._heard.notify_all()
         if self.on_state is not None:
             out = self.on_state(topic, message)
         if out is not None:

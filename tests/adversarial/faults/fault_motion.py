@@ -23,6 +23,8 @@ H = 0.004
 LOWER = np.radians([-166.5, -141.5, -166.5, -121.5, -288.0, -86.0, -227.0])
 UPPER = np.radians([166.5, 41.5, 166.5, 78.0, 288.0, 136.0, 227.0])
 VELOCITY = np.radians([90.0, 90.0, 90.0, 90.0, 200.0, 200.0, 200.0])
+GUIDED_VELOCITY = np.full(7, np.radians(0.9 * 90.0))
+"""Behind EGM: nine tenths of the program's MaxSpeedDeviation."""
 ACCELERATION = 15.0
 JERK = 800.0
 TOOL_SPEED = 0.25
@@ -109,7 +111,7 @@ def hand(q: Array) -> Array:
     return np.array(points) + BASE
 
 
-def shares(motion: Motion) -> dict[str, float]:
+def shares(motion: Motion, velocity: Array = VELOCITY) -> dict[str, float]:
     """Largest use of each limit; 1 is the limit. The rest before and after counts, too."""
     worst = dict.fromkeys(("position", "velocity", "acceleration", "jerk", "tool", "box"), 0.0)
 
@@ -122,7 +124,7 @@ def shares(motion: Motion) -> dict[str, float]:
         died = motion.died_s is not None and t[0] < motion.died_s
         rest_after = q[:0] if died or taken else q[-1:]
         padded = np.concatenate([*[q[:1]] * 3, q, *[rest_after] * 3])
-        bounds = {"velocity": VELOCITY, "acceleration": ACCELERATION, "jerk": JERK}
+        bounds = {"velocity": velocity, "acceleration": ACCELERATION, "jerk": JERK}
         for order, (name, bound) in enumerate(bounds.items(), start=1):
             note(name, float((np.abs(np.diff(padded, n=order, axis=0)) / H**order / bound).max()))
         points = hand(q[np.append(True, (np.diff(q, axis=0) != 0.0).any(axis=1))])
@@ -134,9 +136,9 @@ def shares(motion: Motion) -> dict[str, float]:
     return worst
 
 
-def assert_safe(motion: Motion) -> dict[str, float]:
+def assert_safe(motion: Motion, velocity: Array = VELOCITY) -> dict[str, float]:
     """Every limit kept over every sample, rest at the end included; the shares used."""
-    used = shares(motion)
+    used = shares(motion, velocity)
     for name, share in used.items():
         assert share <= 1.0 + ROUNDING, f"{name}: {share:.4f} of its limit"
     last = motion.stretches[-1][1][-1]
