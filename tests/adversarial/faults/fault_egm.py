@@ -71,7 +71,11 @@ EGM_ROWS = (
     _row("noise between packets", _told("spoiled 500"), WENT_ON),
     _row("another controller's packets between them", _told("foreign 500"), WENT_ON),
     _row("packets with a NaN for 40 ms", _told("not_numbers 10"), WENT_ON),
-    _row("packets with a NaN for 0.5 s", _told("not_numbers 125"), Expect(FAULT, "no packet")),
+    _row(
+        "packets with a NaN for 0.5 s",
+        _told("not_numbers 125"),
+        Expect(FAULT, "then the robot server is in fault: not a packet of a YuMi"),
+    ),
     _row(
         "more than 100 % utilisation for 0.5 s",
         _told("overload 125"),

@@ -161,6 +161,9 @@ class ControllerWatch:
             last_ns = self._newest.arrival_ns
         if now_ns - last_ns >= GAP_NS:
             self._fire(EgmEvent.SILENCE, f"no packet from the controller for {GAP_NS / 1e9:g} s")
+            if self.unusable and now_ns - self._unusable_ns < GAP_NS:
+                # Datagrams do come; what is wrong with them says more than that none is accepted.
+                self._fire(EgmEvent.UNUSABLE, self.unusable_reason)
 
     def expect_session(self, reason: str) -> None:
         """The present session is over, whatever its last packets say; a new one is to begin."""

@@ -189,6 +189,18 @@ def test_what_is_of_no_use_is_told_and_forgotten() -> None:
     assert watch.state is EgmState.RAMPING
 
 
+@pytest.mark.parametrize("looks", [range(1, 101), range(100, 101)], ids=["often", "once"])
+def test_what_is_wrong_with_datagrams_is_told_as_soon_as_they_are_missed(looks: range) -> None:
+    watch = watched(*(received(n) for n in range(40)))
+    last_ns = received(39).arrival_ns
+    for ms in range(1, 101):
+        watch.note_unusable("a joint that is not a finite number", last_ns + ms * 1_000_000)
+        if ms in looks:
+            watch.note_time(last_ns + ms * 1_000_000)
+    assert watch.state is EgmState.REFUSED
+    assert watch.readiness() == "a joint that is not a finite number"
+
+
 def test_clock_follows_the_packets_time_and_never_goes_back() -> None:
     rng = np.random.default_rng(3)
     clock = ControllerClock(1_000)
