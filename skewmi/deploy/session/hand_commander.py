@@ -2,24 +2,15 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from skewmi.command_integrator import CommandIntegrator
 from skewmi.deploy.motion.planner import Planner
 from skewmi.deploy.session.arm_delay import ArmDelay
 from skewmi.deploy.session.arm_state import ArmState
 from skewmi.deploy.session.observer import Observer
 from skewmi.deploy.session.stream import ChunkStream
+from skewmi.motion_under_way import LONGEST_REACTION_S, ErrorGrowth, hand_ahead
 from skewmi.policy_io import Array, PolicyLayout
 from skewmi.robot_models import yumi
-
-FOLLOWING, NOT_FOLLOWING = 0.005, 0.010
-"""Distances of measured from commanded hand up to which, and from which on, the arm counts as
-following and as blocked, m; linear between."""
-
-
-LONGEST_REACTION_S = 0.05
-"""What is looked ahead by at most, s: with more, an arm that is late looks like a blocked one."""
 
 
 class HandCommander:
@@ -57,7 +48,7 @@ class HandCommander:
         self._step_s = step_s
         self._delay = delay
         self._step_stamp_ns = 0
-        self._seen = (np.zeros(3), 0)
+        self._growth = ErrorGrowth(1)
         reaction_s = stream.lead_s + planner.hand_bounds.stopping_s
         self._reaction_s = min(reaction_s, LONGEST_REACTION_S)
 
@@ -82,11 +73,11 @@ class HandCommander:
             state: Newest arm state, which the policy has seen.
         """
         self._step_stamp_ns = state.stamp_ns
-        hand_w = self._observer.hand_position(state)
+        hand_w = self._hand(state)
         commanded_w = self._commanded(state)
-        self._seen = (commanded_w - hand_w, state.stamp_ns)
-        ahead_w = self._ahead(hand_w, commanded_w)
-        self.integrator.begin_step(action[None], hand_w[None], ahead_w=ahead_w[None])
+        self._growth.begin(commanded_w - hand_w, state.stamp_ns)
+        ahead_w = hand_ahead(hand_w, commanded_w, self.integrator.position_w)
+        self.integrator.begin_step(action[None], hand_w, ahead_w=ahead_w)
         self._planner.set_target(self.integrator.position_w[0], self._step_s)
 
     def watch(self, state: ArmState) -> None:
@@ -95,57 +86,20 @@ class HandCommander:
         Args:
             state: Newest arm state; call it with every one within a step.
         """
-        hand_w, commanded_w = self._observer.hand_position(state), self._commanded(state)
+        hand_w, commanded_w = self._hand(state), self._commanded(state)
         since_ns = state.stamp_ns - self._step_stamp_ns
+        coming_w = self._growth.coming(commanded_w - hand_w, state.stamp_ns, self._reaction_s)
         held = self.integrator.watch(
-            hand_w[None],
-            since_ns,
-            commanded_w=commanded_w[None],
-            coming_error_w=self._coming_error(hand_w, commanded_w, state.stamp_ns)[None],
+            hand_w, since_ns, commanded_w=commanded_w, coming_error_w=coming_w
         )
         if held.size:
             self._planner.hold(self.integrator.position_w[0])
 
-    def _coming_error(self, hand_w: Array, commanded_w: Array, stamp_ns: int) -> Array:
-        """What the following error grows by before a command that is ended now slows the hand
-        down, if it goes on as since the last look.
-
-        Args:
-            hand_w: Measured, world, m. Shape (3,).
-            commanded_w: Where it was commanded to be then. Shape (3,).
-            stamp_ns: When that was.
-
-        Returns:
-            World, m. Shape (3,).
-        """
-        error_before_w, before_ns = self._seen
-        self._seen = (error_w, _) = (commanded_w - hand_w, stamp_ns)
-        elapsed_s = 1e-9 * (stamp_ns - before_ns)
-        if elapsed_s <= 0.0:
-            return np.zeros(3)
-        coming_w: Array = (error_w - error_before_w) * (self._reaction_s / elapsed_s)
-        return coming_w
+    def _hand(self, state: ArmState) -> Array:
+        """Measured hand, world, m. Shape (1, 3)."""
+        return self._observer.hand_position(state)[None]
 
     def _commanded(self, state: ArmState) -> Array:
-        """Where the hand was commanded to be as `state` shows it, world, m. Shape (3,)."""
+        """Where the hand was commanded to be as `state` shows it, world, m. Shape (1, 3)."""
         shown_ns = state.stamp_ns - self._delay.ns
-        return self._observer.hand_of(self._stream.commanded(shown_ns))
-
-    def _ahead(self, hand_w: Array, commanded_w: Array) -> Array:
-        """Where the measured hand will be once it has made the motion that is under way.
-
-        That motion is added as long as the arm follows. An arm that is blocked does not: then the
-        bound is on command against measured hand, as it should be.
-
-        Args:
-            hand_w: Measured, world, m. Shape (3,).
-            commanded_w: Where it was commanded to be then. Shape (3,).
-
-        Returns:
-            World, m. Shape (3,).
-        """
-        deviation = float(np.linalg.norm(hand_w - commanded_w))
-        trust = (NOT_FOLLOWING - deviation) / (NOT_FOLLOWING - FOLLOWING)
-        under_way_w = self.integrator.position_w[0] - commanded_w
-        ahead_w: Array = hand_w + min(max(trust, 0.0), 1.0) * under_way_w
-        return ahead_w
+        return self._observer.hand_of(self._stream.commanded(shown_ns))[None]
