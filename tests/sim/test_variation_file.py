@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skewmi.errors import ConfigurationError, NotFoundError
+from skewmi.sim import tasks
+from skewmi.sim.arm.arm_task import ARM_VARIATIONS
 from skewmi.sim.tasks.open_press_close.definition import ARM
 from skewmi.sim.variation import NOMINAL, ModelVariation
 
@@ -139,3 +142,11 @@ def test_every_bundled_file_is_valid_and_lets_the_lid_stay_where_it_is_left() ->
         assert not variation.is_nominal
         friction = {key.name: r for key, r in variation.ranges}.get("lid.frictionloss")
         assert friction is None or friction[0][0] >= 0.10
+
+
+@pytest.mark.parametrize("task", ["door_open", "open_press_close", None])
+def test_deployed_is_the_documented_randomisation_and_late_commands(task: str | None) -> None:
+    variations = ARM_VARIATIONS if task is None else tasks.find(task).variations
+    deployed = json.loads(variations.load("deployed").to_json())
+    assert deployed.pop("command") == {"delay_ms": [60.0, 140.0]}
+    assert deployed == json.loads(variations.load("randomised").to_json())

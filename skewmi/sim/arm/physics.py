@@ -17,6 +17,7 @@ from skewmi.sim.arm.command_path import CommandPath
 from skewmi.sim.arm.diagnostics import Diagnostics
 from skewmi.sim.arm.known import Known
 from skewmi.sim.arm.scene import ArmScene, hand_rotation, workspace_of
+from skewmi.sim.arm.variation_keys import COMMAND_DELAY_MS
 from skewmi.sim.variation import ModelVariation
 
 
@@ -81,6 +82,7 @@ class ArmPhysics:
         controls = self.command.start(hand_position_w, qpos[:, self.scene.arm_qpos])
         if self.varied is not None:
             self.varied.start(qpos, controls)
+            self.command.delay_by(1e-3 * self.varied.sample.get(COMMAND_DELAY_MS))
         self.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
         self._qpos[:] = qpos
         self.batch.bind("ctrl")[:] = controls

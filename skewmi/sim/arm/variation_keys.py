@@ -22,6 +22,7 @@ JOINT_NOISE = "sensors.joint_noise"
 JOINT_OFFSET = "sensors.joint_offset"
 VELOCITY_NOISE = "sensors.velocity_noise"
 EFFORT_NOISE = "sensors.effort_noise"
+COMMAND_DELAY_MS = "command.delay_ms"
 LINK_LOSS = "link.loss"
 LINK_DELAY_MS = "link.delay_ms"
 LINK_JITTER_MS = "link.jitter_ms"
@@ -121,8 +122,11 @@ LINK_KEYS = (
 )
 """Of what the states of a robot server travel on: nothing that a batched simulation has."""
 
+COMMAND_KEYS = (VariationKey(COMMAND_DELAY_MS, 0.0, 200.0, "ms"),)
+"""Of a session between policy and arm, which a batched simulation has not."""
+
 ARM_KEYS = (
-    *SERVO_KEYS, *CONTACT_KEYS, *SENSOR_KEYS, *GRIPPER_KEYS, *MASS_KEYS, *LINK_KEYS,
+    *SERVO_KEYS, *CONTACT_KEYS, *SENSOR_KEYS, *GRIPPER_KEYS, *MASS_KEYS, *LINK_KEYS, *COMMAND_KEYS,
 )  # fmt: skip
 """What may vary whatever stands before the arm."""
 

@@ -15,6 +15,7 @@ from skewmi.robot_models import yumi
 from skewmi.sim.arm.arm_task import ArmTask, SensedJoint
 from skewmi.sim.arm.reach import STOP_MARGIN, TIP
 from skewmi.sim.arm.variation_keys import (
+    COMMAND_KEYS,
     CONTACT_KEYS,
     GRIPPER_KEYS,
     LINK_KEYS,
@@ -77,6 +78,7 @@ VARIATION_KEYS = (
     *GRIPPER_KEYS,
     *MASS_KEYS,
     *LINK_KEYS,
+    *COMMAND_KEYS,
 )
 
 
