@@ -20,6 +20,7 @@ import tyro
 
 from skewmi import __version__, extras
 from skewmi.errors import NotFoundError, SkewmiError, did_you_mean
+from skewmi.matrix_kernels import take_fast_kernels
 
 COMMANDS: dict[str, str] = {
     "demo": "deploy a policy on the simulated YuMi, film and replay it; train another",
@@ -97,6 +98,8 @@ def run_command(name: str, arguments: list[str]) -> int:
 
 def _run(name: str, arguments: list[str]) -> int:
     module_name = name.replace("-", "_")
+    if name == "train":
+        take_fast_kernels()  # before its module imports torch
     module = importlib.import_module(f"skewmi.cli.{module_name}")
     options_type = options_of(name, module)
     run = getattr(module, f"run_{module_name}")

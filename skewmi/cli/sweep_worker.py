@@ -1,7 +1,6 @@
-"""One run of a sweep, in a process of its own: `python -m skewmi.cli.sweep_worker RUN_FOLDER`.
+"""The worker of a sweep: `python -m skewmi.cli.sweep_worker RUN_FOLDER`.
 
-The folder says what the run is, and keeps it between workers. A worker ends with the process that
-started it: it holds the other end of standard input.
+It ends with the process that started it, which holds the other end of standard input.
 """
 
 from __future__ import annotations
@@ -9,48 +8,11 @@ from __future__ import annotations
 import os
 import sys
 import threading
-from dataclasses import replace
 from pathlib import Path
 
-from skewmi.cli.train import train
-from skewmi.errors import SkewmiError
-from skewmi.sweep.engine import BUSY, DONE, REFUSED
-from skewmi.sweep.run_folder import note_part, read_run, source_version, write_result
-from skewmi.train.checkpoint import read_run_header
-from skewmi.train.config import TrainConfig
-from skewmi.train.lock import BusyError, only_training
-from skewmi.train.run import earlier_seconds
+from skewmi.matrix_kernels import take_fast_kernels
 
 _ORPHANED = 74
-
-
-def configuration(run_dir: Path) -> TrainConfig:
-    """What is to be trained: as it was begun, for what is left of its time."""
-    config = read_run(run_dir)
-    if (run_dir / "config.json").exists():
-        begun, _ = read_run_header(run_dir)
-        config = replace(config, threads=begun.threads)
-    if config.minutes is not None:
-        left = config.minutes - earlier_seconds(run_dir) / 60.0
-        config = replace(config, minutes=max(left, 1e-6))
-    return config
-
-
-def work(run_dir: Path) -> int:
-    """Train a run to its end. Returns the exit code."""
-    try:
-        config = configuration(run_dir)
-        with only_training(run_dir):  # so that no part is noted which is refused
-            note_part(run_dir, source_version())
-        result = train(config, run_dir, resume=True, progress=False)
-        write_result(run_dir, result)
-    except BusyError as error:
-        print(error, flush=True)
-        return BUSY
-    except SkewmiError as error:
-        print(" ".join(str(error).split()), flush=True)
-        return REFUSED
-    return DONE
 
 
 def end_with_parent() -> None:
@@ -65,6 +27,14 @@ def end_with_parent() -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-if __name__ == "__main__":
+def main() -> int:
+    """Train the run that the command line names. Returns the exit code."""
     end_with_parent()
-    sys.exit(work(Path(sys.argv[1])))
+    take_fast_kernels()
+    from skewmi.cli.sweep_run import work  # imports torch
+
+    return work(Path(sys.argv[1]))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -9,6 +9,7 @@ below are those of the --task, --preset, --learner and --exploration given with 
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -16,6 +17,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from skewmi import matrix_kernels
 from skewmi.cli.train_config import load_teacher, resolve
 from skewmi.cli.train_options import TrainCommand, default_options
 from skewmi.outputs import check_output
@@ -89,6 +91,8 @@ def _learned(result: TrainResult) -> list[str]:
 def run_train(options: TrainCommand) -> int:
     """Train and print the result. Returns 0."""
     config, teacher = resolve(options), load_teacher(options)
+    if matrix_kernels.taken() and not options.quiet:
+        print(matrix_kernels.TAKEN, file=sys.stderr)
     with _shown(options):
         result = train(
             config,

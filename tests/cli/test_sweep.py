@@ -95,7 +95,7 @@ class InThisProcess:
     """A worker that has trained when it is started."""
 
     def __init__(self, run_dir: Path) -> None:
-        from skewmi.cli.sweep_worker import work
+        from skewmi.cli.sweep_run import work
 
         self.code = work(run_dir)
 
