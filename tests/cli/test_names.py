@@ -25,7 +25,7 @@ def test_list_names_all_that_there_is(capsys: pytest.CaptureFixture[str]) -> Non
     assert set(told["policies"]) == set(policies.bundled())
     assert set(told["robots"]) >= set(BACKENDS)
     assert "improved" in told["tasks"]["open_press_close"]["presets"]
-    assert told["tasks"]["open_press_close"]["variations"] == ["randomised"]
+    assert told["tasks"]["open_press_close"]["variations"] == ["deployed", "randomised"]
     assert main(["list"]) == 0
     shown = capsys.readouterr().out
     assert [name for name in (*tasks.names(), *policies.bundled()) if name not in shown] == []
