@@ -52,6 +52,23 @@ def test_a_soft_robot_with_friction_and_delay_follows_five_times_as_closely() ->
     assert off[1] < off[0] / 5.0, off
 
 
+def test_known_servos_follow_late_commands_as_closely() -> None:
+    friction = [1.0] * 4 + [0.3] * 3
+    robot = {"kp_scale": 0.5, "kd_scale": 1.4, "frictionloss": friction, "delay_ms": 20}
+    late = {"command": {"delay_ms": 100}}
+    known = exact_calibration(0.5, 1.4, friction, 20.0)
+    wanted, before, after = (
+        followed(*case)[0]
+        for case in (
+            (None, late),
+            (None, {"servo": robot, **late}),
+            (known, {"servo": robot, **late}),
+        )
+    )
+    off = [np.sqrt(np.mean(np.square(hand - wanted))) for hand in (before, after)]
+    assert off[1] < off[0] / 5.0, off
+
+
 def test_the_targets_are_the_law_of_the_commanded_lines() -> None:
     calibration = exact_calibration(0.5, 1.4, 0.3, 10.0)
     env = ArmBatch(ARM, 2, num_threads=1, seed=3, calibration=calibration)
