@@ -37,6 +37,7 @@ ROOMS: dict[str, set[str]] = {
         "robot_models",
         "calibration",
         "command_integrator",
+        "motion_under_way",
         "success",
         "smoothness",
         "deploy.wire",
