@@ -39,7 +39,6 @@ class OpenLoop:
     Args:
         layout: Of the task.
         actions: In [-1, 1]. Shape (steps, action_dim).
-        end: Called after the last one.
     """
 
     def __init__(self, layout: PolicyLayout, actions: Array) -> None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import statistics
 import subprocess
 import sys
@@ -46,7 +45,7 @@ def updates(environment: dict[str, str], seed: int) -> dict[str, dict[str, float
 
 def measure(turns: int, seed: int) -> dict[str, Any]:
     """Both ways by turns; medians over the turns, and how much faster the fast one is."""
-    compiler = shutil.which(os.environ.get("CXX", "g++"))
+    compiler = matrix_kernels.compiler()
     if compiler is None or not matrix_kernels.would_help():
         sys.exit("this needs a processor of AMD with AVX2, and a C++ compiler")
     found: dict[str, list[dict[str, dict[str, float]]]] = {how: [] for how in HOWS}

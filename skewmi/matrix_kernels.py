@@ -1,10 +1,11 @@
 """Fast products of matrices on processors that are not Intel's.
 
 torch on a processor multiplies by Intel's MKL, which asks who made the processor before it looks at
-what it can do. AMD's with AVX2 or AVX-512 get kernels that do half as many products a second as
-the others do on the same processor (`benchmarks/matrix_kernels.py`). The question is one function,
-`mkl_serv_intel_cpu_true`, and a library that is loaded before torch may answer it. The others'
-roundings differ, as between processors; they are MKL's own, and ask what the processor can do.
+what it can do. AMD's with AVX2 or AVX-512 get kernels that do less than half as many products a
+second as the others on the same processor (`benchmarks/matrix_kernels.py`). The question is one
+function, `mkl_serv_intel_cpu_true`, and a library that is loaded before torch may answer it. The
+others' roundings differ, as between processors; they are MKL's own, and ask what the processor can
+do.
 
 Nothing here imports torch.
 """
@@ -59,6 +60,11 @@ def would_help(cpuinfo: Path = _CPUINFO) -> bool:
     return fields.get("vendor_id") in _VENDORS and "avx2" in fields.get("flags", "").split()
 
 
+def compiler() -> str | None:
+    """Path of the C++ compiler, which torch takes, too: what CXX names, else g++."""
+    return shutil.which(os.environ.get("CXX", "g++"))
+
+
 def take_fast_kernels() -> bool:
     """Let MKL take them in this process; call it before anything imports torch.
 
@@ -78,13 +84,13 @@ def take_fast_kernels() -> bool:
 
 def _answer() -> bool:
     """Load a library with the answer; whether that went well."""
-    compiler = shutil.which(os.environ.get("CXX", "g++"))
-    if compiler is None:
+    found = compiler()
+    if found is None:
         return False
     with tempfile.TemporaryDirectory() as folder:
         library = Path(folder) / "libmkl_kernels.so"
         try:
-            build(compiler, library)
+            build(found, library)
             # Whoever looks the function up later, as torch's libraries do, finds this one first.
             # A loaded library is not needed as a file any more.
             ctypes.CDLL(str(library), mode=ctypes.RTLD_GLOBAL)
@@ -93,18 +99,18 @@ def _answer() -> bool:
     return True
 
 
-def build(compiler: str, library: Path) -> None:
+def build(cxx: str, library: Path) -> None:
     """Write the library.
 
     Args:
-        compiler: Of C++.
+        cxx: A C++ compiler, see `compiler`.
         library: Where to.
 
     Raises:
         OSError, subprocess.SubprocessError: The compiler does not run, or fails.
     """
     subprocess.run(
-        [compiler, "-shared", "-fPIC", "-x", "c++", "-", "-o", str(library)],
+        [cxx, "-shared", "-fPIC", "-x", "c++", "-", "-o", str(library)],
         input=_SOURCE,
         text=True,
         capture_output=True,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -59,7 +58,7 @@ def child(script: str, *arguments: str, **environment: str) -> str:
 
 
 needs_amd = pytest.mark.skipif(
-    not matrix_kernels.would_help() or shutil.which(os.environ.get("CXX", "g++")) is None,
+    not matrix_kernels.would_help() or matrix_kernels.compiler() is None,
     reason="MKL takes them by itself here, or there is no C++ compiler",
 )
 

@@ -41,14 +41,14 @@ print(f"{160 / (time.perf_counter() - started):.0f} steps/s with 8 environments"
 """
 
 TORCH = """
-from skewmi.matrix_kernels import take_fast_kernels, would_help
+from skewmi.matrix_kernels import compiler, take_fast_kernels, would_help
 fast = take_fast_kernels()
 import torch
 if torch.cuda.is_available():
     names = [torch.cuda.get_device_name(i) for i in range(torch.cuda.device_count())]
     print(f"torch {torch.__version__}, CUDA: {', '.join(names)}")
 else:
-    how = ", an AMD one: g++ makes that twice as fast" if would_help() else ""
+    how = ", an AMD one: faster with g++" if would_help() and compiler() is None else ""
     how = ", products by MKL's AVX kernels" if fast else how
     print(f"torch {torch.__version__}, no GPU: trains on the processor{how}")
 """

@@ -98,7 +98,7 @@ def run_command(name: str, arguments: list[str]) -> int:
 
 def _run(name: str, arguments: list[str]) -> int:
     module_name = name.replace("-", "_")
-    if name == "train":
+    if name == "train" and not {"-h", "--help"} & set(arguments):
         take_fast_kernels()  # before its module imports torch
     module = importlib.import_module(f"skewmi.cli.{module_name}")
     options_type = options_of(name, module)

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from skewmi.motion_under_way import LONGEST_REACTION_S, ErrorGrowth, hand_ahead
 from skewmi.policy_io import Array
 from skewmi.sim.arm.definition import SIM_DT, SUBSTEPS
+from skewmi.trajectory import GRID_NS
 
-_STEP_NS = round(SIM_DT * 1e9)
 _Q, _V, _P = slice(0, 7), slice(7, 14), slice(14, 17)
 """Columns of a sample: joints, rad; their velocities, rad/s; the hand, world, m."""
 
@@ -87,7 +87,7 @@ class DelayedCommands:
         """
         commanded_w = self._late[:, substep - 1, _P]
         error_w = commanded_w - hand_w
-        coming_w = self._growth.coming(error_w, substep * _STEP_NS, LONGEST_REACTION_S)
+        coming_w = self._growth.coming(error_w, substep * GRID_NS, LONGEST_REACTION_S)
         return commanded_w, coming_w
 
     def hold(self, held: NDArray[np.int64], substep: int, position_w: Array) -> Array:

@@ -11,8 +11,7 @@ from skewmi.robot_models.feed_forward import FeedForward
 from skewmi.sim.arm import definition
 from skewmi.sim.arm.command_delay import CommandLine, DelayedCommands
 from skewmi.sim.arm.scene import ArmScene, workspace_of
-
-_SUBSTEP_NS = round(definition.SIM_DT * 1e9)
+from skewmi.trajectory import GRID_NS
 
 
 class CommandPath:
@@ -141,7 +140,7 @@ class CommandPath:
         Returns:
             Indices of the arms whose targets changed.
         """
-        delayed, since_ns = self._delayed, substep * _SUBSTEP_NS
+        delayed, since_ns = self._delayed, substep * GRID_NS
         if delayed is None:
             held = self.integrator.watch(hand_w, since_ns)
         else:

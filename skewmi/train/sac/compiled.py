@@ -8,8 +8,6 @@ computes what `Sac.update` does, in another order of roundings.
 
 from __future__ import annotations
 
-import os
-import shutil
 import sysconfig
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +17,7 @@ import torch
 from torch import Tensor
 
 from skewmi.errors import ConfigurationError
+from skewmi.matrix_kernels import compiler
 from skewmi.train.sac.update_function import named_scalars, state_of, whole_update
 
 if TYPE_CHECKING:
@@ -26,11 +25,8 @@ if TYPE_CHECKING:
 
 
 def can_compile(device: torch.device) -> bool:
-    """Whether torch can compile for a device here: with a C++ compiler and Python's headers.
-
-    The compiler is the one that torch takes: what CXX names, else g++.
-    """
-    if device.type != "cpu" or not shutil.which(os.environ.get("CXX", "g++")):
+    """Whether torch can compile for a device here: with a C++ compiler and Python's headers."""
+    if device.type != "cpu" or compiler() is None:
         return False
     return has_headers()
 
