@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +62,7 @@ def _facts(run: Run, run_dir: Path, table: dict[str, list[float]]) -> dict[str, 
     config = run.config
     result = read_result(run_dir)
     state = _state(run_dir) or {}
-    versions = list(dict.fromkeys(part["version"] for part in read_parts(run_dir)))
+    parts = read_parts(run_dir)
     discoveries = state.get("discoveries") or {}
     return {
         "task": config.task,
@@ -72,7 +72,8 @@ def _facts(run: Run, run_dir: Path, table: dict[str, list[float]]) -> dict[str, 
         "exploration": entry_of(config.exploration)[0],
         "sigma": getattr(config.exploration, "sigma", None),
         "seed": config.seed,
-        "commit": " ".join(versions) or None,
+        "commit": _all_of(parts, "version"),
+        "kernels": _all_of(parts, "kernels"),
         "state": "done" if result else "begun" if table else "waiting",
         "stopped_by": (result or {}).get("stopped_by"),
         "steps": int(_last(table, "step") or 0),
@@ -86,6 +87,11 @@ def _facts(run: Run, run_dir: Path, table: dict[str, list[float]]) -> dict[str, 
         "changes": json.dumps(dict(run.changes)),
         "config": json.dumps(to_document(config)),
     }
+
+
+def _all_of(parts: Iterable[Mapping[str, Any]], name: str) -> str | None:
+    """What the parts of a run had there, each value once; None where nobody noted it."""
+    return " ".join(dict.fromkeys(part[name] for part in parts if name in part)) or None
 
 
 def _last(table: Mapping[str, list[float]], name: str) -> float | None:

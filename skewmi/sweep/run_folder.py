@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import skewmi
+from skewmi import matrix_kernels
 from skewmi.errors import CheckpointError
 from skewmi.outputs import make_folder, writing
 from skewmi.sweep.places import PARTS, RESULT, RUN
@@ -68,8 +69,13 @@ def source_version() -> str:
 
 
 def note_part(run_dir: Path, version: str) -> None:
-    """Note that a process begins to work on a run."""
-    part = {"version": version, "host": platform.node(), "step": read_progress(run_dir).steps}
+    """Note that a process begins to work on a run, and what its roundings depend on."""
+    part = {
+        "version": version,
+        "host": platform.node(),
+        "kernels": "avx" if matrix_kernels.taken() else "default",
+        "step": read_progress(run_dir).steps,
+    }
     with writing(run_dir / PARTS), (run_dir / PARTS).open("a") as file:
         file.write(json.dumps(part) + "\n")
 

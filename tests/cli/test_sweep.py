@@ -127,6 +127,7 @@ def test_a_sweep_from_its_file_to_its_figures(
     results = read_tables(out).results
     assert results["steps"] == [800, 800]
     assert results["state"] == ["done", "done"]
+    assert results["kernels"] == ["default", "default"]  # tests leave MKL alone
     assert json.loads(results["config"][0])["seed"] == 0
     assert json.loads(results["changes"][0])["learner.batch_size"] == 16
     # Again: nothing is left to do. A run whose result is lost has only that to do.

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from skewmi import matrix_kernels
 from skewmi.errors import CheckpointError
 from skewmi.sweep.run_folder import (
     Progress,
@@ -67,6 +68,15 @@ def test_parts_are_kept_in_order_and_half_a_line_is_left_out(tmp_path: Path) -> 
         file.write('{"version": "thr')
     parts = [(part["version"], part["step"]) for part in read_parts(tmp_path)]
     assert parts == [("one", 0), ("two", 200)]
+
+
+def test_a_part_tells_whose_products_of_matrices_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for taken in (False, True):
+        monkeypatch.setattr(matrix_kernels, "taken", lambda taken=taken: taken)
+        note_part(tmp_path, "one")
+    assert [part["kernels"] for part in read_parts(tmp_path)] == ["default", "avx"]
 
 
 def test_a_run_without_a_result_is_not_done(tmp_path: Path) -> None:
