@@ -9,12 +9,12 @@ HerReplayBuffer gets up to --cap times as long. Every run is a process of its ow
 with one thread. `speedup` is against whichever of the peer's settings did best.
 
 The same for all: the maze, its starts (spread by one step, or all episodes would be equal), inputs
-and their scaling, hidden layers of 128 and 128, and who judges when (`tests/support`); looking at a
-policy stops the clock, importing packages does not count, compiling does, and nobody writes files.
-The peer is looked at five times as often. Not the same: ours explores with 25 copies, and learns of
-the target by meeting it; the peer is told where it is from the start. It gets rewards of -1 and 0,
-with which its settings were tuned, and its own number of updates per step. `train_vs_sb3_sides.py`
-says where its settings come from.
+and their scaling, hidden layers of 128 and 128, MKL's kernels (those of `skewmi train`), and who
+judges when (`tests/support`); looking at a policy stops the clock, importing packages does not
+count, compiling does, and nobody writes files. The peer is looked at five times as often. Not the
+same: ours explores with 25 copies, and learns of the target by meeting it; the peer is told where
+it is from the start. It gets rewards of -1 and 0, with which its settings were tuned, and its own
+number of updates per step. `train_vs_sb3_sides.py` says where its settings come from.
 
 --rows keeps what is finished, one line a run, and goes on from it. A run takes minutes to an hour.
 """
@@ -32,7 +32,20 @@ from typing import Any
 
 from common import argument_parser, print_result, progress, write_result
 from time_to_success import compare
-from train_vs_sb3_sides import EPISODES, OURS, PEERS, RADIUS, START_NOISE, TARGET, train
+
+from skewmi import matrix_kernels
+
+matrix_kernels.take_fast_kernels()  # before torch is imported, for both sides
+
+from train_vs_sb3_sides import (  # noqa: E402
+    EPISODES,
+    OURS,
+    PEERS,
+    RADIUS,
+    START_NOISE,
+    TARGET,
+    train,
+)
 
 BAR = 0.9
 IN_A_ROW = 2
@@ -49,6 +62,7 @@ def settings(options: argparse.Namespace) -> dict[str, Any]:
         "in_a_row": IN_A_ROW,
         "cap": options.cap,
         "steps": options.steps,
+        "kernels": "avx" if matrix_kernels.taken() else "default",
     }
 
 
