@@ -62,7 +62,7 @@ def settings(options: argparse.Namespace) -> dict[str, Any]:
         "in_a_row": IN_A_ROW,
         "cap": options.cap,
         "steps": options.steps,
-        "kernels": "avx" if matrix_kernels.taken() else "default",
+        "kernels": matrix_kernels.name_of_taken(),
     }
 
 

@@ -41,6 +41,11 @@ def taken() -> bool:
     return _taken
 
 
+def name_of_taken() -> str:
+    """`avx` if this process has them, else `default`."""
+    return "avx" if _taken else "default"
+
+
 def would_help(cpuinfo: Path = _CPUINFO) -> bool:
     """Whether MKL passes over kernels that this processor could run.
 

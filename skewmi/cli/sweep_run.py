@@ -10,6 +10,7 @@ from pathlib import Path
 
 from skewmi.cli.train import train
 from skewmi.errors import SkewmiError
+from skewmi.matrix_kernels import name_of_taken
 from skewmi.sweep.engine import BUSY, DONE, REFUSED
 from skewmi.sweep.run_folder import note_part, read_run, source_version, write_result
 from skewmi.train.checkpoint import read_run_header
@@ -35,7 +36,7 @@ def work(run_dir: Path) -> int:
     try:
         config = configuration(run_dir)
         with only_training(run_dir):  # so that no part is noted which is refused
-            note_part(run_dir, source_version())
+            note_part(run_dir, source_version(), name_of_taken())
         result = train(config, run_dir, resume=True, progress=False)
         write_result(run_dir, result)
     except BusyError as error:

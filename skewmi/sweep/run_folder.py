@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import skewmi
-from skewmi import matrix_kernels
 from skewmi.errors import CheckpointError
 from skewmi.outputs import make_folder, writing
 from skewmi.sweep.places import PARTS, RESULT, RUN
@@ -68,12 +67,18 @@ def source_version() -> str:
         return f"version {skewmi.__version__}"
 
 
-def note_part(run_dir: Path, version: str) -> None:
-    """Note that a process begins to work on a run, and what its roundings depend on."""
+def note_part(run_dir: Path, version: str, kernels: str) -> None:
+    """Note that a process begins to work on a run, and what its roundings depend on.
+
+    Args:
+        run_dir: Of the run.
+        version: See `source_version`.
+        kernels: See `skewmi.matrix_kernels.name_of_taken`.
+    """
     part = {
         "version": version,
         "host": platform.node(),
-        "kernels": "avx" if matrix_kernels.taken() else "default",
+        "kernels": kernels,
         "step": read_progress(run_dir).steps,
     }
     with writing(run_dir / PARTS), (run_dir / PARTS).open("a") as file:

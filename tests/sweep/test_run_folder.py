@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from skewmi import matrix_kernels
 from skewmi.errors import CheckpointError
 from skewmi.sweep.run_folder import (
     Progress,
@@ -61,22 +60,15 @@ def test_progress_of_a_long_table_is_read_from_its_end(tmp_path: Path) -> None:
 
 def test_parts_are_kept_in_order_and_half_a_line_is_left_out(tmp_path: Path) -> None:
     assert read_parts(tmp_path) == []
-    note_part(tmp_path, "one")
+    note_part(tmp_path, "one", "default")
     (tmp_path / "metrics.csv").write_text("step,seconds\n200,1.0\n")
-    note_part(tmp_path, "two")
+    note_part(tmp_path, "two", "avx")
     with (tmp_path / "parts.jsonl").open("a") as file:
         file.write('{"version": "thr')
-    parts = [(part["version"], part["step"]) for part in read_parts(tmp_path)]
-    assert parts == [("one", 0), ("two", 200)]
-
-
-def test_a_part_tells_whose_products_of_matrices_it_was(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for taken in (False, True):
-        monkeypatch.setattr(matrix_kernels, "taken", lambda taken=taken: taken)
-        note_part(tmp_path, "one")
-    assert [part["kernels"] for part in read_parts(tmp_path)] == ["default", "avx"]
+    parts = read_parts(tmp_path)
+    assert [part["version"] for part in parts] == ["one", "two"]
+    assert [part["kernels"] for part in parts] == ["default", "avx"]
+    assert [part["step"] for part in parts] == [0, 200]
 
 
 def test_a_run_without_a_result_is_not_done(tmp_path: Path) -> None:
