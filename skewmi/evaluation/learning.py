@@ -166,8 +166,13 @@ def draw_learning(
     return path
 
 
-def _colour(index: int) -> str:
-    return _SEED_COLOURS[index % len(_SEED_COLOURS)]
+def _colours(count: int) -> list[Any]:
+    """One for each run, no two alike."""
+    if count <= len(_SEED_COLOURS):
+        return list(_SEED_COLOURS[:count])
+    from matplotlib import colormaps
+
+    return list(colormaps["turbo"](np.linspace(0.05, 0.95, count)))
 
 
 def _draw_curves(axis: Axes, records: Sequence[RunRecord]) -> None:
@@ -175,13 +180,14 @@ def _draw_curves(axis: Axes, records: Sequence[RunRecord]) -> None:
     axis.axhline(100.0 * threshold, color=drawing.GREY, linewidth=0.8, linestyle=":")
     axis.text(0.0, 100.0 * threshold + 1.5, " needed to converge", fontsize=7, color=drawing.GREY)
     alone = len(records) == 1
-    for k, record in enumerate(records):
+    colours = _colours(len(records))
+    for record, colour in zip(records, colours, strict=True):
         x, y = record.curve
         axis.plot(
-            x, 100.0 * y, color=_colour(k), linewidth=1.8 if alone else 1.0,
+            x, 100.0 * y, color=colour, linewidth=1.8 if alone else 1.0,
             label=f"seed {record.config.seed}",
         )  # fmt: skip
-        axis.plot(x[-1], 100.0 * y[-1], ".", color=_colour(k), markersize=7)
+        axis.plot(x[-1], 100.0 * y[-1], ".", color=colour, markersize=7)
     if not alone:
         x, y = median_curve(records)
         label = "median (ended runs keep their last value)"
@@ -190,17 +196,18 @@ def _draw_curves(axis: Axes, records: Sequence[RunRecord]) -> None:
     axis.set_ylabel("last 10 states rewarded,\nlast 10 evaluations [%]", fontsize=9)
     axis.set_ylim(-2.0, 102.0)
     axis.tick_params(labelbottom=False)
-    axis.legend(frameon=False, fontsize=8, loc="center left")
+    columns = 1 + len(records) // 7  # or they reach beyond the axes
+    axis.legend(frameon=False, fontsize=8, loc="center left", ncols=columns)
 
 
 def _draw_discoveries(axis: Axes, records: Sequence[RunRecord], rows: Sequence[str]) -> None:
     """A line of ticks per event, one tick per run."""
-    for k, record in enumerate(records):
+    for record, colour in zip(records, _colours(len(records)), strict=True):
         met = {name: first["trajectory"] for name, first in record.discoveries.items() if first}
         if record.converged_at is not None:
             met["convergence"] = record.converged_at
         x, y = list(met.values()), [rows.index(name) for name in met]
-        axis.plot(x, y, "|", color=_colour(k), markersize=11, markeredgewidth=2.0)
+        axis.plot(x, y, "|", color=colour, markersize=11, markeredgewidth=2.0)
     axis.set_yticks(range(len(rows)), [*(f"first {n}" for n in rows[:-1]), rows[-1]], fontsize=8)
     axis.set_ylim(len(rows) - 0.4, -0.6)
     axis.grid(axis="y", linewidth=0.4, alpha=0.5)

@@ -12,11 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from matplotlib.colors import to_hex
 from PIL import Image
 
 from skewmi.cli.main import main
 from skewmi.cli.train_options import starting_config
 from skewmi.errors import CheckpointError
+from skewmi.evaluation import learning
 from skewmi.evaluation.learning import RunRecord, draw_learning, median_curve, read_record
 from skewmi.sim import tasks
 from skewmi.train.config import TrainConfig
@@ -51,6 +53,12 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
         folders.append(tmp_path_factory.mktemp("press") / f"s{seed}")
         run_train(config, env, folders[-1], progress=False)
     return folders
+
+
+@pytest.mark.parametrize("count", [1, 6, 7, 12, 30])
+def test_no_two_runs_have_one_colour(count: int) -> None:
+    colours = {to_hex(colour) for colour in learning._colours(count)}
+    assert len(colours) == count
 
 
 def with_curve(record: RunRecord, curve: dict[int, float]) -> RunRecord:
