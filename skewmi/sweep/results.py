@@ -91,7 +91,8 @@ def _facts(run: Run, run_dir: Path, table: dict[str, list[float]]) -> dict[str, 
 
 def _all_of(parts: Iterable[Mapping[str, Any]], name: str) -> str | None:
     """What the parts of a run had there, each value once; None where nobody noted it."""
-    return " ".join(dict.fromkeys(part[name] for part in parts if name in part)) or None
+    values = [part.get(name) for part in parts]
+    return " ".join(dict.fromkeys(v or "unknown" for v in values)) if any(values) else None
 
 
 def _last(table: Mapping[str, list[float]], name: str) -> float | None:
