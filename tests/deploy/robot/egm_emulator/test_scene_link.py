@@ -33,6 +33,8 @@ from skewmi.trajectory import Array
 
 SCENE = SceneState(("lid_hinge",), np.zeros(1), np.zeros(1))
 PATIENCE_S = 10.0
+QUIET_S = 0.4
+"""More than what a robot server may say nothing before it is told of no publisher."""
 
 
 @dataclass
@@ -87,6 +89,13 @@ def until(what: Callable[[], object], each: Callable[[], None]) -> None:
     while not what():
         assert time.monotonic() < deadline
         each()
+        time.sleep(0.004)
+
+
+def serve_for(seconds: float, scene: SceneLink) -> None:
+    ended = time.monotonic() + seconds
+    while time.monotonic() < ended:
+        scene.serve()
         time.sleep(0.004)
 
 
@@ -159,12 +168,11 @@ def test_publisher_that_is_about_to_be_replaced_is_not_named() -> None:
     locator = f"tcp/127.0.0.1:{free_port()}"
     with scene_at(locator) as scene:
         hear(scene, locator, others=False)
+        # No process is started in less; a server of this one would be there within that time.
+        serve_for(QUIET_S, scene)
         with server(locator) as robot:
             until(lambda: robot.link.graph.publishers(EMULATOR_STATUS), scene.serve)
-            ended = time.monotonic() + 0.5
-            while time.monotonic() < ended:
-                scene.serve()
-                time.sleep(0.004)
+            serve_for(0.5, scene)
             assert robot.named() == []
             named: list[str] = []
 
