@@ -18,9 +18,8 @@ import numpy as np
 import pandas as pd
 from common import argument_parser, print_result, progress, write_result
 
-from skewmi.train.blocks import read_blocks
-from skewmi.train.checkpoint import read_checkpoint, read_run_header
-from skewmi.train.replay import Replay
+from skewmi.train.checkpoint import read_run_header
+from skewmi.train.history import pursued_goals
 
 SPANS = ((100, 300), (900, 1_100), (1_800, 2_000))
 """Trajectories of a run, from the first to before the second."""
@@ -29,21 +28,20 @@ SPANS = ((100, 300), (900, 1_100), (1_800, 2_000))
 def distances(run_dir: Path) -> list[dict[str, float]]:
     """Medians of one run, by span."""
     config, layout = read_run_header(run_dir)
-    checkpoint = read_checkpoint(run_dir)
-    goal_dim = len(checkpoint.state["evaluation_goal"])
-    replay = Replay(layout, config.rollout.history_steps, goal_dim)
-    read_blocks(replay, checkpoint.path / "replay", int(checkpoint.state["episodes"]))
-    if replay.count > len(replay) or len({f.unit for f in layout.state_fields[:goal_dim]}) > 1:
+    states, goals = pursued_goals(run_dir)
+    d = goals.shape[-1]
+    whole = len(states) * layout.episode_steps >= config.total_steps
+    if not whole or len({field.unit for field in layout.state_fields[:d]}) > 1:
         raise SystemExit(f"{run_dir} does not keep all episodes, or its states have several units")
-    before = layout.observation_dim + layout.action_dim
-    goal = replay.rows[:, -2, before : before + goal_dim]
-    first, last = (replay.rows[:, k, :goal_dim] for k in (0, -1))
-    found = []
-    for start, end in SPANS:
-        ends = np.linalg.norm(last - goal, axis=1)[start:end]
-        away = np.linalg.norm(first - goal, axis=1)[start:end]
-        found.append({"to_goal": float(np.median(ends)), "goal_to_start": float(np.median(away))})
-    return found
+    to_goal = np.linalg.norm(states[:, -1, :d] - goals[:, -1], axis=1)
+    to_start = np.linalg.norm(states[:, 0, :d] - goals[:, -1], axis=1)
+    return [
+        {
+            "to_goal": float(np.median(to_goal[start:end])),
+            "goal_to_start": float(np.median(to_start[start:end])),
+        }
+        for start, end in SPANS
+    ]
 
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:

@@ -130,6 +130,11 @@ class Replay:
         rows = self.rows[slots]
         return rows[:, :, self._state], rows[:, :-1, self._reward]
 
+    def goal_columns(self, slots: Index) -> Single:
+        """Goals (n, steps, goal_dim) that the episodes of some slots pursued."""
+        goals: Single = self.rows[slots, :-1, self._goal]
+        return goals
+
     def random_states(self, count: int, generator: np.random.Generator) -> tuple[Array, Index]:
         """States met after a step, drawn uniformly with replacement.
 

@@ -16,7 +16,7 @@ from skewmi.sim import tasks
 from skewmi.train import run
 from skewmi.train.config import TrainConfig
 from skewmi.train.follow import MOST_EPISODES, News, RunFollower
-from skewmi.train.history import visited_states
+from skewmi.train.history import pursued_goals, visited_states
 from skewmi.train.log import read_metrics
 from skewmi.train.presets import preset
 
@@ -59,6 +59,9 @@ def test_looks_add_up_to_the_run(looked: tuple[Path, list[News]]) -> None:
     states, rewards = visited_states(run_dir)
     np.testing.assert_array_equal(np.concatenate([n.states for n in news]), states)
     np.testing.assert_array_equal(np.concatenate([n.rewards for n in news]), rewards)
+    beside, goals = pursued_goals(run_dir)
+    np.testing.assert_array_equal(beside, states)
+    assert goals.shape == (*rewards.shape, 2)
     episodes = np.concatenate([n.episodes for n in news])
     np.testing.assert_array_equal(episodes, np.arange(len(states)))
     table = read_metrics(run_dir)

@@ -61,6 +61,16 @@ def test_ring_keeps_the_latest(layout, make_episodes) -> None:
     assert set(np.unique(drawn.action)) == {3.0, 4.0, 5.0, 6.0}
 
 
+def test_goals_are_those_that_the_episodes_pursued(layout, make_episodes) -> None:
+    rng = np.random.default_rng(6)
+    history = Replay(layout, 10 * layout.episode_steps, 2)
+    episodes = make_episodes(layout, 3, rng, paid=0.0)
+    episodes = replace(episodes, goals=rng.normal(size=episodes.goals.shape))
+    history.add(episodes, episodes.rewards)
+    slots = np.array([2, 0])
+    np.testing.assert_allclose(history.goal_columns(slots), episodes.goals[slots], rtol=1e-6)
+
+
 def test_a_fraction_of_a_batch_comes_from_the_episodes_of_the_proposals(
     layout, make_episodes
 ) -> None:
