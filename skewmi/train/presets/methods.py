@@ -74,7 +74,7 @@ def return_then_explore(
     stall_distance: float,
     revisit_probability: float = 0.0,
     keep_fields: tuple[str, ...] = (),
-    evaluation_share: float = MOST_EVALUATED,
+    burst_updates_per_step: float = 1.6,
 ) -> TrainConfig:
     """Skew-Explore's goals in excursions, from a preset of Skew-Explore on SAC.
 
@@ -85,7 +85,8 @@ def return_then_explore(
         updates_per_step: Gradient updates per environment step.
         arrival_radius, stall_distance: See `ReturnThenExploreConfig`, density units.
         revisit_probability, keep_fields: See `ReturnThenExploreConfig`.
-        evaluation_share: See `RolloutConfig`.
+        burst_updates_per_step: Gradient updates per environment step from the first reward until
+            convergence.
     """
     explore, learner = base.exploration, base.learner
     assert isinstance(explore, SkewExploreConfig)
@@ -98,8 +99,11 @@ def return_then_explore(
         learner=replace(
             learner,
             updates_per_step=updates_per_step,
-            burst_updates_per_step=0.8,
+            burst_updates_per_step=burst_updates_per_step,
             burst_rewarded_fraction=0.5,
+            # So many updates lie between two iterations that the latest actor is now better, now
+            # worse.
+            actor_average=0.999,
         ),
         exploration=ReturnThenExploreConfig(
             **same,
@@ -108,7 +112,7 @@ def return_then_explore(
             revisit_probability=revisit_probability,
             keep_fields=keep_fields,
         ),
-        rollout=replace(base.rollout, noise_probability=0.0, evaluation_share=evaluation_share),
+        rollout=replace(base.rollout, noise_probability=0.0, evaluation_share=MOST_EVALUATED),
     )
 
 

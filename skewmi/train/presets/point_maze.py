@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from skewmi.train.config import RolloutConfig, TrainConfig
+from skewmi.train.config import TrainConfig
 from skewmi.train.exploration.skew_explore import SkewExploreConfig
 from skewmi.train.presets import methods
 from skewmi.train.presets.shared import PAPER_EXPLORATION, PAPER_ROLLOUT, PAPER_SAC, reduced
@@ -62,7 +62,6 @@ PRESETS = (
         updates_per_step=0.4,
         arrival_radius=0.7,
         stall_distance=0.3,
-        evaluation_share=RolloutConfig().evaluation_share,  # as in its results over seeds
     ),
     _REDUCED,
     *methods.PAPER.presets(_REDUCED),
