@@ -17,7 +17,13 @@ OptionValue = bool | int | float | str
 """Of an option that a task's environment is made with."""
 
 
-_SHARES = ("noise_probability", "taught_noise_probability", "taught_share", "evaluation_share")
+_SHARES = (
+    "noise_probability",
+    "taught_noise_probability",
+    "taught_share",
+    "evaluation_share",
+    "evaluation_from",
+)
 
 
 @dataclass(frozen=True)
@@ -33,6 +39,10 @@ class RolloutConfig:
     evaluation_share: float = 0.4
     """Of the environments, do so while those of the iteration before ended in the reward, so that
     a policy that seems to be done is soon known; 0: never more than evaluation_envs."""
+    evaluation_from: float = 1.0
+    """Of an iteration's episodes, rewarded ones from which on the next evaluates as many, though
+    those evaluated did not end in the reward yet. Exploration reaches a state before the
+    deterministic action does; 1: not before that does."""
     random_steps: int = 5_000
     """Environment steps of uniform random actions at the start."""
     taught_steps: int = 25_000

@@ -60,6 +60,7 @@ class Runner:
         self.discoveries = Discoveries(layout, config.task_metrics.events)
         self.convergence = _new_convergence(self.config.metrics)
         self.steps = self.iteration = self.rewarded_episodes = self.next_measurement = 0
+        self.rewarded_share = 0.0  # of the latest iteration's episodes
         self.best_score: tuple[float, float] = (0.0, 0.0)
         first = env.reset(seed=config.seed)
         self.coverage.set_reachable(env, first[0, : layout.state_dim])
@@ -89,7 +90,7 @@ class Runner:
             self.exploration,
             self.generator,
             config=c.rollout,
-            evaluation=_evaluation_envs(c, self.convergence.latest),
+            evaluation=self._evaluation_envs(),
             beginning=beginning,
             rewarded=c.rewarded,
         )
@@ -112,6 +113,13 @@ class Runner:
         }
         return metrics, new
 
+    def _evaluation_envs(self) -> int:
+        """How many of the next episodes run the deterministic action."""
+        rollout = self.config.rollout
+        done = self.convergence.latest >= self.config.metrics.convergence_fraction
+        nearly = rollout.evaluation_from < 1.0 and self.rewarded_share >= rollout.evaluation_from
+        return rollout.most_evaluation_envs if done or nearly else rollout.evaluation_envs
+
     def _keep(self, rollout: Rollout, *, taught: bool) -> tuple[Array, list[str]]:
         """Remember finished episodes; their trajectory term, and events met for the first time."""
         episodes = rollout.episodes
@@ -122,7 +130,9 @@ class Runner:
         d = self.layout.state_dim
         self.coverage.add(reached[..., :d].reshape(-1, d))
         self.steps += episodes.rewards.size
-        self.rewarded_episodes += int((episodes.rewards > 0.0).any(1).sum())
+        rewarded = (episodes.rewards > 0.0).any(1)
+        self.rewarded_episodes += int(rewarded.sum())
+        self.rewarded_share = float(rewarded.mean())
         if not taught:  # what a teacher can do is not what this run has learned
             counted = _counted(rollout)
             self.convergence.add(
@@ -134,7 +144,7 @@ class Runner:
         rewards = rollout.episodes.rewards
         metrics = {
             "return": float(rewards.sum(1).mean()),
-            "rewarded_fraction": float((rewards > 0.0).any(1).mean()),
+            "rewarded_fraction": self.rewarded_share,
             "evaluation_return": float(rewards[_counted(rollout)].sum(1).mean()),
             "rewarded_episodes": float(self.rewarded_episodes),
             "refresh": float(self.exploration.refreshes),
@@ -171,6 +181,7 @@ class Runner:
             "episodes": self.episodes,
             "updates": self.learner.updates,
             "rewarded_episodes": self.rewarded_episodes,
+            "rewarded_share": self.rewarded_share,
             "next_measurement": self.next_measurement,
             "refreshes": self.exploration.refreshes,
             "converged_at": self.convergence.at,
@@ -217,6 +228,7 @@ class Runner:
             self.convergence.load_state_dict(s["convergence"])
             self.steps, self.iteration = s["step"], s["iteration"]
             self.rewarded_episodes = s["rewarded_episodes"]
+            self.rewarded_share = float(s.get("rewarded_share", 0.0))
             self.next_measurement = s["next_measurement"]
             self.best_score = (s["best_score"][0], s["best_score"][1])
             self.generator.bit_generator.state = s["generator"]
@@ -229,12 +241,6 @@ class Runner:
 
 def _new_convergence(m: MetricsConfig) -> Convergence:
     return Convergence(m.convergence_fraction, m.convergence_tolerance, m.convergence_trajectories)
-
-
-def _evaluation_envs(config: TrainConfig, latest: float) -> int:
-    """How many of the next episodes run the deterministic action, after such a share of success."""
-    done = latest >= config.metrics.convergence_fraction
-    return config.rollout.most_evaluation_envs if done else config.rollout.evaluation_envs
 
 
 def _counted(rollout: Rollout) -> slice:

@@ -57,6 +57,31 @@ def test_more_copies_are_evaluated_while_they_end_in_the_reward(
     assert evaluated(runner, monkeypatch, [0.0, 0.89, 0.9, 1.0, 0.5]) == [2, 2, 4, 4, 2]
 
 
+@pytest.mark.parametrize(
+    ("begin", "counts"), [(1.0, [2, 2, 2, 4, 2]), (0.5, [2, 2, 4, 4, 4]), (0.0, [4] * 5)]
+)
+def test_more_copies_are_evaluated_once_exploration_reaches_the_reward(
+    config, make_paid, monkeypatch: pytest.MonkeyPatch, begin: float, counts: list[int]
+) -> None:
+    runner = Runner(
+        replace(config, rollout=replace(config.rollout, evaluation_from=begin)), make_paid()
+    )
+    seen = []
+    for ended, rewarded in ((0.0, 0.0), (0.0, 0.4), (0.0, 0.5), (1.0, 0.0), (0.5, 1.0)):
+        runner.rewarded_share = rewarded
+        seen += evaluated(runner, monkeypatch, [ended])
+    assert seen == counts
+
+
+def test_the_share_of_rewarded_episodes_is_that_of_the_latest_iteration(config, make_paid) -> None:
+    runner = Runner(config, make_paid())
+    for _ in range(3):
+        metrics, _ = runner.iterate()
+        slots = np.arange(runner.episodes - 10, runner.episodes) % runner.history.capacity
+        latest = runner.history.rewarded[slots]
+        assert metrics["rewarded_fraction"] == runner.rewarded_share == latest.mean()
+
+
 @pytest.mark.parametrize(("envs", "share", "most"), [(0, 0.4, 0), (2, 0.0, 2), (3, 0.25, 3)])
 def test_how_many_at_most(config, make_paid, monkeypatch, envs, share, most) -> None:
     rollout = replace(config.rollout, evaluation_envs=envs, evaluation_share=share)
@@ -83,8 +108,10 @@ def test_evaluated_copies_of_one_policy_differ(config, make_paid) -> None:
     assert len(runner.convergence.shares) >= 5 * 2 - 1  # the first have one goal: no reward yet
 
 
-def test_a_run_that_evaluates_more_resumes_alike(tmp_path, config, make_paid) -> None:
-    whole = replace(config, total_steps=4 * ITERATION)
+@pytest.mark.parametrize("begin", [1.0, 0.5])
+def test_a_run_that_evaluates_more_resumes_alike(tmp_path, config, make_paid, begin) -> None:
+    rollout = replace(config.rollout, evaluation_from=begin)
+    whole = replace(config, total_steps=4 * ITERATION, rollout=rollout)
     resumes_alike(whole, make_paid, tmp_path, 2 * ITERATION)
 
 
@@ -92,3 +119,6 @@ def test_a_run_that_evaluates_more_resumes_alike(tmp_path, config, make_paid) ->
 def test_shares_that_mean_nothing_are_refused(share: float) -> None:
     with pytest.raises(ConfigurationError, match="evaluation_share"):
         RolloutConfig(evaluation_share=share)
+    if share != 1.0:
+        with pytest.raises(ConfigurationError, match="evaluation_from"):
+            RolloutConfig(evaluation_from=share)
