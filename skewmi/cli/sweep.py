@@ -27,10 +27,11 @@ from skewmi.errors import ConfigurationError, SkewmiError
 from skewmi.outputs import make_folder
 from skewmi.sim import tasks
 from skewmi.sweep.driver import Driver, State
+from skewmi.sweep.elsewhere import Elsewhere, read_elsewhere
 from skewmi.sweep.engine import Engine, LocalEngine, usable_cores
 from skewmi.sweep.plan import Plan, make_plan, require_same_runs
 from skewmi.sweep.results import collect
-from skewmi.sweep.run_folder import is_done, read_progress
+from skewmi.sweep.run_folder import Progress, is_done, read_progress
 from skewmi.sweep.sweep_file import MAX_SEEDS, Part, SweepFile, narrowed, read_sweep_file
 from skewmi.sweep.tables import SWEEP, write_tables
 from skewmi.train.files import write_text
@@ -66,6 +67,9 @@ class SweepCommand:
     """Only so many seeds of each group, the first ones."""
     steps: int | None = None
     """Environment steps of every run, in place of the file's: to try a file out."""
+    with_results: tuple[Path, ...] = ()
+    """Folders of the same sweep from other machines, or their results.parquet or results.csv: what
+    is done there is not run again, and stands in the results."""
     dry_run: bool = False
     """List the runs and how far they are; do nothing."""
     collect: bool = False
@@ -91,29 +95,41 @@ def run_sweep(options: SweepCommand) -> int:
         numbers.require_seed(run.config.seed)
     folder = options.out or Path("runs") / options.file.stem
     require_same_runs(plan, folder / "runs")
+    work = _Work(sweep, plan, folder, read_elsewhere(plan, folder / "runs", options.with_results))
     if options.dry_run:
-        _print(_listing(plan, folder), options)
+        _print(_listing(work), options)
         return 0
     _require_environments(plan)
     if options.collect:
-        files = _write_results(sweep, plan, folder)
-        _print({**_listing(plan, folder), "files": files}, options)
+        files = _write_results(work)
+        _print({**_listing(work), "files": files}, options)
         return 0
-    return _run(options, sweep, plan, folder)
+    return _run(options, work)
 
 
-def _run(options: SweepCommand, sweep: SweepFile, plan: Plan, folder: Path) -> int:
+@dataclass(frozen=True)
+class _Work:
+    """A sweep file, its runs, where they are, and which are done somewhere else."""
+
+    sweep: SweepFile
+    plan: Plan
+    folder: Path
+    elsewhere: Elsewhere
+
+
+def _run(options: SweepCommand, work: _Work) -> int:
+    own = tuple(run for run in work.plan.runs if run.name not in work.elsewhere.rows)
     with ExitStack() as stack:
-        stack.enter_context(_alone(folder))
-        write_text(folder / SWEEP, sweep.text)
-        engine = stack.enter_context(_engine(options, sweep.threads))
+        stack.enter_context(_alone(work.folder))
+        write_text(work.folder / SWEEP, work.sweep.text)
+        engine = stack.enter_context(_engine(options, work.sweep.threads))
         lines = stack.enter_context(SweepLines(engine.slots, quiet=options.quiet))
-        driver = Driver(plan.runs, folder / "runs", engine, lines.happened)
+        driver = Driver(own, work.folder / "runs", engine, lines.happened)
         stop = stack.enter_context(stop_on_signal())
         finished = driver.run(stop, lambda: lines.draw(driver.tracked))
-    files = _write_results(sweep, plan, folder)
+    files = _write_results(work)
     failed = {t.run.name: t.why for t in driver.tracked if t.state is State.FAILED}
-    _print({**_listing(plan, folder), "failed": failed, "files": files}, options)
+    _print({**_listing(work), "failed": failed, "files": files}, options)
     return 130 if not finished else int(bool(failed))
 
 
@@ -160,26 +176,34 @@ def _require_environments(plan: Plan) -> None:
                 raise type(error)(f"group {member.group}: {error}") from error
 
 
-def _write_results(sweep: SweepFile, plan: Plan, folder: Path) -> list[str]:
-    make_folder(folder)
-    tables = collect(plan, folder / "runs", sweep.figures)
-    return [str(path) for path in write_tables(tables, folder)]
+def _write_results(work: _Work) -> list[str]:
+    make_folder(work.folder)
+    tables = collect(work.plan, work.folder / "runs", work.sweep.figures, work.elsewhere)
+    return [str(path) for path in write_tables(tables, work.folder)]
 
 
-def _listing(plan: Plan, folder: Path) -> dict[str, Any]:
+def _listing(work: _Work) -> dict[str, Any]:
+    plan, folder = work.plan, work.folder
     places: dict[str, list[str]] = {}
     for member in plan.members:
         places.setdefault(member.run.name, []).append(f"{member.group}/{member.configuration}")
     runs = []
     for run in plan.runs:
         run_dir = folder / "runs" / run.name
-        progress = read_progress(run_dir)
+        progress, state = read_progress(run_dir), "waiting"
+        if run.name in work.elsewhere.rows:
+            row = work.elsewhere.rows[run.name]
+            progress, state = Progress(int(row["steps"]), float(row["seconds"])), "done"
+        elif is_done(run_dir):
+            state = "done"
+        elif progress.steps:
+            state = "begun"
         runs.append(
             {
                 "run": run.name,
                 "of": places[run.name],
                 "seed": run.config.seed,
-                "state": "done" if is_done(run_dir) else "begun" if progress.steps else "waiting",
+                "state": state,
                 "steps": progress.steps,
                 "total_steps": run.config.total_steps,
                 "seconds": progress.seconds,

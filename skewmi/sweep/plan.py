@@ -202,16 +202,19 @@ def require_same_runs(plan: Plan, runs: Path) -> None:
         if not (runs / run.name / "config.json").exists():
             continue
         earlier, _ = read_run_header(runs / run.name)
-        earlier = replace(earlier, threads=run.config.threads)
-        if earlier == run.config:
-            continue
-        ours, theirs = flat(to_document(run.config)), flat(to_document(earlier))
-        differing = [
-            f"{key} {theirs.get(key)} (now {ours.get(key)})"
-            for key in {**theirs, **ours}
-            if theirs.get(key) != ours.get(key)
-        ]
-        raise ConfigurationError(
-            f"the run in {runs / run.name} was begun with {', '.join(differing)}: its preset or "
-            "task has changed since; move it away, or give another --out"
-        )
+        differing = differences(run.config, replace(earlier, threads=run.config.threads))
+        if differing:
+            raise ConfigurationError(
+                f"the run in {runs / run.name} was begun with {', '.join(differing)}: its preset "
+                "or task has changed since; move it away, or give another --out"
+            )
+
+
+def differences(now: TrainConfig, before: TrainConfig) -> list[str]:
+    """What a configuration was and now is, a phrase per number; none if they are the same."""
+    ours, theirs = flat(to_document(now)), flat(to_document(before))
+    return [
+        f"{key} {theirs.get(key)} (now {ours.get(key)})"
+        for key in {**theirs, **ours}
+        if theirs.get(key) != ours.get(key)
+    ]

@@ -12,9 +12,10 @@ import numpy as np
 
 from skewmi.errors import CheckpointError
 from skewmi.outputs import written_aside
+from skewmi.sweep.elsewhere import Elsewhere
 from skewmi.sweep.plan import TARGET, Member, Plan, Run
 from skewmi.sweep.run_folder import is_done, read_parts, read_result
-from skewmi.sweep.tables import RUN, Columns, Tables, as_columns
+from skewmi.sweep.tables import RUN, Columns, Tables, as_columns, joined
 from skewmi.train.checkpoint import read_checkpoint, read_run_header
 from skewmi.train.config_json import to_document
 from skewmi.train.history import visited_states
@@ -30,25 +31,33 @@ DIGITS = 6
 _STATES = "states.npz"
 
 
-def collect(plan: Plan, runs: Path, figures: Mapping[str, Any]) -> Tables:
+def collect(
+    plan: Plan, runs: Path, figures: Mapping[str, Any], elsewhere: Elsewhere | None = None
+) -> Tables:
     """What there is of a plan.
 
     Args:
         plan: Of the sweep.
         runs: Folder of the runs' folders.
         figures: Of the sweep file.
+        elsewhere: Runs that other folders have; what there is of them here is left out.
 
     Raises:
         CheckpointError: A run is damaged.
     """
-    tables = {run.name: _metrics(runs / run.name) for run in plan.runs}
-    facts = {run.name: _facts(run, runs / run.name, tables[run.name]) for run in plan.runs}
-    rows = [{**_place(member), **facts[member.run.name]} for member in plan.members]
+    others = elsewhere or Elsewhere()
+    own = [run for run in plan.runs if run.name not in others.rows]
+    tables = {run.name: _metrics(runs / run.name) for run in own}
+    facts = {run.name: _facts(run, runs / run.name, tables[run.name]) for run in own}
+    facts |= others.rows
+    rows = [
+        {**_place(member), **facts[member.run.name], **_place(member)} for member in plan.members
+    ]
     kept = {member.run.name for member in plan.members if member.keep_states}
     return Tables(
         results=as_columns(rows),
-        curves=_curves(tables),
-        states=_states([run for run in plan.runs if run.name in kept], runs),
+        curves=joined([_curves(tables), others.curves]),
+        states=joined([_states([run for run in own if run.name in kept], runs), others.states]),
         figures=dict(figures),
     )
 

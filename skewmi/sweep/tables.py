@@ -29,6 +29,11 @@ SWEEP = "sweep.yaml"
 RUN = "run"
 """Column of every table: name of the run."""
 _FIGURES = b"skewmi.figures"
+_WORDS = (
+    RUN, "group", "configuration", "task", "target", "preset", "learner", "exploration", "commit",
+    "kernels", "state", "stopped_by", "discoveries", "changes", "config",
+)  # fmt: skip
+"""Columns whose values are words, also where they look like numbers."""
 
 Columns = dict[str, list[Any]]
 
@@ -54,6 +59,24 @@ def as_columns(rows: Sequence[Mapping[str, Any]]) -> Columns:
     """Rows as columns; what a row lacks is None."""
     names = list(dict.fromkeys(name for row in rows for name in row))
     return {name: [row.get(name) for row in rows] for name in names}
+
+
+def rows_of(columns: Columns) -> list[dict[str, Any]]:
+    """Inverse of `as_columns`."""
+    return [
+        dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)
+    ]
+
+
+def joined(parts: Sequence[Columns]) -> Columns:
+    """Rows of several tables, one after the other; what a table lacks is None."""
+    names = list(dict.fromkeys(name for part in parts for name in part))
+    found: Columns = {name: [] for name in names}
+    for part in parts:
+        count = max((len(values) for values in part.values()), default=0)
+        for name in names:
+            found[name].extend(part.get(name, [None] * count))
+    return found
 
 
 def write_tables(tables: Tables, folder: Path) -> list[Path]:
@@ -126,24 +149,25 @@ def read_tables(path: Path) -> Tables:
     """Read what a sweep came to.
 
     Args:
-        path: Its folder, or results.parquet in it.
+        path: Its folder, or results.parquet or results.csv in it. Without Parquet files the CSV
+            ones are read, which have no states and do not say which figures are to be made.
 
     Raises:
         NotFoundError: There are no results.
         ConfigurationError: A table is damaged, or none of ours.
     """
-    folder = path.parent if path.suffix == ".parquet" else path
-    if not (folder / f"{RESULTS}.parquet").exists():
+    folder = path.parent if path.suffix in (".parquet", ".csv") else path
+    if not any((folder / f"{RESULTS}{suffix}").exists() for suffix in (".parquet", ".csv")):
         raise NotFoundError(
             f"{path} has no {RESULTS}.parquet: give the folder of a sweep that has been run, or "
             "write its results as they are with skewmi sweep FILE --collect"
         )
-    results, metadata = _read(folder / f"{RESULTS}.parquet")
+    results, metadata = _read(folder / RESULTS)
     for needed in (RUN, "group", "configuration", "task", "seed"):
         if needed not in results:
             raise ConfigurationError(f"{path} has no column {needed!r}: it is no sweep's")
-    curves, _ = _read(folder / f"{CURVES}.parquet")
-    states, _ = _read(folder / f"{STATES}.parquet")
+    curves, _ = _read(folder / CURVES)
+    states, _ = _read(folder / STATES)
     try:
         figures = json.loads(metadata.get(_FIGURES, b"{}"))
     except ValueError as error:
@@ -153,19 +177,31 @@ def read_tables(path: Path) -> Tables:
 
 def is_sweep(path: Path) -> bool:
     """Whether a path is a sweep's and not a run's, with results or without."""
-    return path.suffix == ".parquet" or any(
-        (path / name).exists() for name in (f"{RESULTS}.parquet", SWEEP)
+    return path.suffix in (".parquet", ".csv") or any(
+        (path / name).exists() for name in (f"{RESULTS}.parquet", f"{RESULTS}.csv", SWEEP)
     )
 
 
-def _read(path: Path) -> tuple[Columns, Mapping[bytes, bytes]]:
+def _read(stem: Path) -> tuple[Columns, Mapping[bytes, bytes]]:
+    """A table that is there as Parquet or CSV; none where it is not."""
     import pyarrow as pa
+    import pyarrow.csv
     import pyarrow.parquet
 
-    if not path.exists():
-        return {}, {}
+    parquet, csv = (stem.with_suffix(suffix) for suffix in (".parquet", ".csv"))
     try:
-        table = pyarrow.parquet.read_table(path)
+        if parquet.exists():
+            table = pyarrow.parquet.read_table(parquet)
+        elif csv.exists():
+            words = dict.fromkeys(_WORDS, pa.string())
+            table = pyarrow.csv.read_csv(
+                csv,
+                convert_options=pyarrow.csv.ConvertOptions(
+                    column_types=words, strings_can_be_null=True, quoted_strings_can_be_null=False
+                ),
+            )
+        else:
+            return {}, {}
     except (OSError, pa.ArrowException) as error:
-        raise ConfigurationError(f"{path} cannot be read: {error}") from error
+        raise ConfigurationError(f"{stem} cannot be read: {error}") from error
     return table.to_pydict(), table.schema.metadata or {}

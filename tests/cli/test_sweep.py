@@ -137,6 +137,15 @@ def test_a_sweep_from_its_file_to_its_figures(
     assert main(line) == 0
     assert started == [started[0], started[1], started[0]]
     assert read_tables(out).results["steps"] == [800, 800]
+    # Nor is there in another folder that knows of these results.
+    elsewhere = [*line[:3], str(tmp_path / "other"), "--json", "--with-results", str(out)]
+    for option in ([], ["--collect"], ["--dry-run"]):
+        capsys.readouterr()
+        assert main([*elsewhere, *option]) == 0
+        runs = json.loads(capsys.readouterr().out)["runs"]
+        assert [(run["state"], run["steps"]) for run in runs] == [("done", 800)] * 2
+    assert len(started) == 3
+    assert read_tables(tmp_path / "other").results == read_tables(out).results
     capsys.readouterr()
     assert main(["figures", str(out), "--dpi", "30"]) == 0
     assert [Path(path).name for path in capsys.readouterr().out.split()] == [
