@@ -183,21 +183,12 @@ def _write_results(work: _Work) -> list[str]:
 
 
 def _listing(work: _Work) -> dict[str, Any]:
-    plan, folder = work.plan, work.folder
     places: dict[str, list[str]] = {}
-    for member in plan.members:
+    for member in work.plan.members:
         places.setdefault(member.run.name, []).append(f"{member.group}/{member.configuration}")
     runs = []
-    for run in plan.runs:
-        run_dir = folder / "runs" / run.name
-        progress, state = read_progress(run_dir), "waiting"
-        if run.name in work.elsewhere.rows:
-            row = work.elsewhere.rows[run.name]
-            progress, state = Progress(int(row["steps"]), float(row["seconds"])), "done"
-        elif is_done(run_dir):
-            state = "done"
-        elif progress.steps:
-            state = "begun"
+    for run in work.plan.runs:
+        state, progress = _standing(run.name, work)
         runs.append(
             {
                 "run": run.name,
@@ -209,7 +200,17 @@ def _listing(work: _Work) -> dict[str, Any]:
                 "seconds": progress.seconds,
             }
         )
-    return {"folder": str(folder), "runs": runs}
+    return {"folder": str(work.folder), "runs": runs}
+
+
+def _standing(name: str, work: _Work) -> tuple[str, Progress]:
+    """Whether a run is done, here or elsewhere, begun or waiting, and how far it is."""
+    row = work.elsewhere.rows.get(name)
+    if row is not None:
+        return "done", Progress(int(row.get("steps") or 0), float(row.get("seconds") or 0))
+    run_dir = work.folder / "runs" / name
+    progress = read_progress(run_dir)
+    return "done" if is_done(run_dir) else "begun" if progress.steps else "waiting", progress
 
 
 def _print(document: dict[str, Any], options: SweepCommand) -> None:
