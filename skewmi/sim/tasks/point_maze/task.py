@@ -22,6 +22,15 @@ SPEC = TaskSpec(
             Event("left corridor", (Condition("x", high=-7.0), Condition("y", -2.0, 2.0))),
         ),
     ),
-    demo=("--preset", "improved-return-then-explore", "--option", "target=t2"),
+    # Half of the preset's burst: one run each took 225 trajectories instead of 200, but 2.2 minutes
+    # instead of 3.0. Who watches counts minutes.
+    demo=(
+        "--preset",
+        "improved-return-then-explore",
+        "--option",
+        "target=t2",
+        "--learner.burst-updates-per-step",
+        "0.8",
+    ),
     captions=(Caption("x", "x", "m"), Caption("y", "y", "m")),
 )
