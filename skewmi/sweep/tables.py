@@ -149,8 +149,8 @@ def read_tables(path: Path) -> Tables:
     """Read what a sweep came to.
 
     Args:
-        path: Its folder, or results.parquet or results.csv in it. Without Parquet files the CSV
-            ones are read, which have no states and do not say which figures are to be made.
+        path: Its folder, or results.parquet or results.csv in it. Where a table is not there as
+            Parquet its CSV file is read, which does not say which figures are to be made.
 
     Raises:
         NotFoundError: There are no results.
@@ -159,7 +159,7 @@ def read_tables(path: Path) -> Tables:
     folder = path.parent if path.suffix in (".parquet", ".csv") else path
     if not any((folder / f"{RESULTS}{suffix}").exists() for suffix in (".parquet", ".csv")):
         raise NotFoundError(
-            f"{path} has no {RESULTS}.parquet: give the folder of a sweep that has been run, or "
+            f"{path} has no {RESULTS}.parquet or .csv: give the folder of a sweep that has been run, or "
             "write its results as they are with skewmi sweep FILE --collect"
         )
     results, metadata = _read(folder / RESULTS)
