@@ -50,6 +50,7 @@ def collect(
     tables = {run.name: _metrics(runs / run.name) for run in own}
     facts = {run.name: _facts(run, runs / run.name, tables[run.name]) for run in own}
     facts |= others.rows
+    # The place comes first, and a row from elsewhere has another one.
     rows = [
         {**_place(member), **facts[member.run.name], **_place(member)} for member in plan.members
     ]
