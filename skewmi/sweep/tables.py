@@ -159,8 +159,8 @@ def read_tables(path: Path) -> Tables:
     folder = path.parent if path.suffix in (".parquet", ".csv") else path
     if not any((folder / f"{RESULTS}{suffix}").exists() for suffix in (".parquet", ".csv")):
         raise NotFoundError(
-            f"{path} has no {RESULTS}.parquet or .csv: give the folder of a sweep that has been run, or "
-            "write its results as they are with skewmi sweep FILE --collect"
+            f"{path} has no {RESULTS}.parquet or .csv: give the folder of a sweep that has been "
+            "run, or write its results as they are with skewmi sweep FILE --collect"
         )
     results, metadata = _read(folder / RESULTS)
     for needed in (RUN, "group", "configuration", "task", "seed"):
