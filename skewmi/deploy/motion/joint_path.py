@@ -3,9 +3,9 @@
 q(s), 0 <= s <= length, is a Chebyshev polynomial in each joint: a straight line in joint space has
 two coefficients, a straight line of the hand as many as inverse kinematics at as many Chebyshev
 points give. The hand's path is smooth enough for ten to leave less than a micrometre. With the
-arc s(t) from ruckig,
+part of the way u(t) from ruckig,
 
-    v = q'(s) ds/dt,    a = q''(s) (ds/dt)^2 + q'(s) d2s/dt2
+    v = q'(u) du/dt,    a = q''(u) (du/dt)^2 + q'(u) d2u/dt2
 
 Whoever stops on the way (`path_motion.PathMotion`) is still on the path, and goes on from there.
 """
@@ -29,7 +29,6 @@ of jerks a third: what bends the path comes on top, and stops need some."""
 _ACCELERATION_SHARE, _JERK_SHARE = 0.5, 0.3
 _LOOKED_AT = 41
 """Places of a path at which its derivatives are bounded."""
-_NO_LENGTH = 1e-12
 
 
 def chebyshev_places(length: float, count: int) -> Array:
@@ -98,22 +97,27 @@ class JointPath:
         """From rest to rest on the path.
 
         Args:
-            s_start, s_end: From where to where.
-            q_start: Where the arm rests, rad, shape (7,), if that is not exactly on the path: what
-                is left between fades out on the way.
+            s_start, s_end: From where to where; the same place, if only what `q_start` is off is
+                to be moved.
             limits: Of the joints.
             speed: Of the flange, and of a point on its axis, m/s.
             tool_z: Where on the axis that point is, m.
+            q_start: Where the arm rests, rad, shape (7,), if that is not exactly on the path: what
+                is left between fades out on the way, within limits and speed.
         """
+        way = s_end - s_start
         off = np.zeros(7) if q_start is None else q_start - self.at(s_start)
-        if abs(s_end - s_start) < _NO_LENGTH or not np.abs(self.at(s_end) - self.at(s_start)).any():
-            return JointTrajectory.resting(self.at(s_start) + off, 2)
-        places = np.linspace(s_start, s_end, _LOOKED_AT)
-        rate = np.abs(self.at(places, 1)).max(axis=0).clip(min=1e-9)
+        # By u, the part of the way that is done: q = path(s_start + u way) + (1 - u) off.
+        places = s_start + np.linspace(0.0, 1.0, _LOOKED_AT) * way
+        first = self.at(places, 1) * way - off
+        if not first.any():
+            return JointTrajectory.resting(self.at(s_start), 2)
+        rate = np.abs(first).max(axis=0).clip(min=1e-9)
         request = ruckig.InputParameter(1)
-        request.current_position, request.target_position = [s_start], [s_end]
+        request.current_position, request.target_position = [0.0], [1.0]
         fastest = min(
-            SHARE * float((limits.velocity / rate).min()), self._pace(places, speed, tool_z)
+            SHARE * float((limits.velocity / rate).min()),
+            self._pace(self.at(places), first, speed, tool_z),
         )
         request.max_velocity = [fastest]
         request.max_acceleration = [_ACCELERATION_SHARE * float((limits.acceleration / rate).min())]
@@ -121,19 +125,23 @@ class JointPath:
         found = ruckig.Trajectory(1)
         ruckig.Ruckig(1).calculate(request, found)
         count = int(np.ceil(found.duration / GRID_S - 1e-9)) + 1
-        s, v, a = np.array([found.at_time(k * GRID_S) for k in range(count)])[..., 0].T
-        s[-1], v[-1], a[-1], v[0], a[0] = s_end, 0.0, 0.0, 0.0, 0.0
-        first = self.at(s, 1)
-        q = self.at(s) + ((s_end - s) / (s_end - s_start))[:, None] * off
-        q[0] = self.at(s_start) + off
+        u, v, a = np.array([found.at_time(k * GRID_S) for k in range(count)])[..., 0].T
+        u[0], u[-1], v[-1], a[-1], v[0], a[0] = 0.0, 1.0, 0.0, 0.0, 0.0, 0.0
+        s = s_start + u * way
+        first = self.at(s, 1) * way - off
+        second = self.at(s, 2) * way**2
+        q = self.at(s) + (1.0 - u)[:, None] * off
+        if q_start is not None:
+            q[0] = q_start
         return JointTrajectory(
-            q, first * v[:, None], self.at(s, 2) * (v * v)[:, None] + first * a[:, None]
+            q, first * v[:, None], second * (v * v)[:, None] + first * a[:, None]
         )
 
-    def _pace(self, places: Array, speed: float, tool_z: float) -> float:
-        """Largest ds/dt at which flange and tool keep a speed, m/s."""
-        arm, q = ArmKinematics("right"), self.at(places)
-        twist = np.einsum("nij,nj->ni", arm.jacobian(q), self.at(places, 1))
+    @staticmethod
+    def _pace(q: Array, first: Array, speed: float, tool_z: float) -> float:
+        """Largest du/dt at which flange and tool keep a speed, 1/s, from q(u) and dq/du."""
+        arm = ArmKinematics("right")
+        twist = np.einsum("nij,nj->ni", arm.jacobian(q), first)
         axis = arm.forward(q)[1][..., 2]
         tool = twist[:, :3] + np.cross(twist[:, 3:], tool_z * axis)
         fastest = max(np.linalg.norm(part, axis=1).max() for part in (twist[:, :3], tool))

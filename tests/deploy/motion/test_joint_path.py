@@ -79,6 +79,35 @@ def test_whoever_stops_on_the_way_goes_on_from_there(seed: int) -> None:
     assert (np.abs(jerk) <= profile.jerk).all()
 
 
+@pytest.mark.parametrize("way", [0.1, 1e-3, 1e-6, 1e-9, 0.0])
+@pytest.mark.parametrize("seed", range(4))
+def test_what_the_arm_is_off_fades_within_limits_and_speed(
+    seed: int, way: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However short the way is: what is off is up to a milliradian of each joint."""
+    rng = np.random.default_rng(seed)
+    profile = limits.profile(("lab", "careful")[seed % 2])
+    path = anywhere(rng, bool(seed // 2))
+    s_start = rng.uniform(0.3, 0.7) * path.length
+    s_end = s_start + rng.choice((-1.0, 1.0)) * way * path.length
+    rests = path.at(s_start) + rng.uniform(-1e-3, 1e-3, 7)
+    speed = float(rng.choice((0.002, 0.1)))
+    motion = path.motion(s_start, s_end, profile, speed, TIP, rests)
+    np.testing.assert_array_equal(motion.q[0], rests)
+    np.testing.assert_allclose(motion.q[-1], path.at(s_end), atol=1e-12)
+    monkeypatch.setattr(checks, "MAX_SAMPLES", len(motion))
+    usage = checks.ChunkChecker(profile, None, ARM.forward).check(motion.q, motion.v, motion.a)
+    assert max(usage.as_dict().values()) <= 1.0
+    # The derivatives are those of the positions.
+    h = GRID_NS / 1e9
+    over = (h / 2.0) * (motion.v[1:] + motion.v[:-1]) + h**2 / 12.0 * -np.diff(motion.a, axis=0)
+    np.testing.assert_allclose(np.diff(motion.q, axis=0), over, atol=profile.jerk.max() * h**3 / 12)
+    position, rotation = ARM.forward(motion.q)
+    for point in (position, position + TIP * rotation[..., 2]):
+        assert np.linalg.norm(np.diff(point, axis=0), axis=1).max() / h <= 1.002 * speed
+    PathMotion(motion, profile)
+
+
 def test_a_path_back_is_the_same_path() -> None:
     rng = np.random.default_rng(2)
     path = hand_line(rng)
