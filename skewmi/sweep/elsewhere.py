@@ -18,6 +18,9 @@ from skewmi.sweep.run_folder import is_done
 from skewmi.sweep.tables import RUN, Columns, joined, read_tables, rows_of
 from skewmi.train.config_json import from_document
 
+_NUMBERS = ("steps", "seconds")
+"""Columns that a listing of runs counts with."""
+
 
 @dataclass(frozen=True)
 class Elsewhere:
@@ -72,6 +75,11 @@ def _require_same(run: Run, row: dict[str, Any], path: Path) -> None:
         raise ConfigurationError(f"{path}: run {run.name} has no configuration") from error
     except ConfigurationError as error:
         raise ConfigurationError(f"{path}: run {run.name}: {error}") from error
+    for name in _NUMBERS:
+        if not isinstance(row.get(name), int | float | None):
+            raise ConfigurationError(
+                f"{path}: {name} of run {run.name} is {row[name]!r}; it must be a number"
+            )
     differing = differences(run.config, replace(theirs, threads=run.config.threads))
     if differing:
         raise ConfigurationError(

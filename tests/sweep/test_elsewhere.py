@@ -104,6 +104,13 @@ def test_a_damaged_row_is_refused(tmp_path: Path, plan: Plan, config: str | None
         read_elsewhere(plan, tmp_path / "runs", [there])
 
 
+@pytest.mark.parametrize("column", ["steps", "seconds"])
+def test_a_number_that_is_none_is_refused(tmp_path: Path, plan: Plan, column: str) -> None:
+    there = write(tmp_path / "there", [row(plan.runs[0], **{column: "half an hour"})])
+    with pytest.raises(ConfigurationError, match=f"{column} of run .* 'half an hour'"):
+        read_elsewhere(plan, tmp_path / "runs", [there])
+
+
 def test_results_that_are_not_there_are_refused(tmp_path: Path, plan: Plan) -> None:
     with pytest.raises(NotFoundError, match="no results"):
         read_elsewhere(plan, tmp_path / "runs", [tmp_path])
