@@ -120,14 +120,17 @@ def _resolved(
 ) -> TrainConfig:
     document = to_document(base)
     for name, value in configuration.numbers.items():
-        part, dot, number = name.replace("-", "_").partition(".")
-        part = "total_steps" if part == "steps" and not dot else part
+        part, dot, number = name.partition(".")
         if dot and part in PARTS and number in document[part] and number != "name":
             document[part][number] = value
         elif not dot and part in SETTABLE:
             document[part] = value
         else:
             raise ConfigurationError(f"there is no number {name!r}; {_allowed(document, part)}")
+    if target is not None and TARGET in configuration.options:
+        raise ConfigurationError(
+            f"option {TARGET!r} is given beside the group's targets; give one of the two"
+        )
     options = dict(configuration.options) | ({} if target is None else {TARGET: target})
     config = from_document(document)
     return replace(

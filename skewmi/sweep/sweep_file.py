@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from skewmi.errors import ConfigurationError, NotFoundError
+from skewmi.sweep.number_names import by_one_name
 from skewmi.yaml_text import parse_yaml
 
 Value = bool | int | float | str | None | list[Any]
@@ -44,7 +45,7 @@ class Configuration:
         name: What results call it.
         preset: Where its numbers start from.
         learner, exploration: In the place of the preset's, with their own numbers; or None.
-        numbers: Changed ones, by dotted name.
+        numbers: Changed ones, by the dotted names that `TrainConfig` has for them.
         options: Of the task.
     """
 
@@ -121,7 +122,7 @@ def parse_sweep(text: str, name: str) -> SweepFile:
     if not groups:
         raise ConfigurationError(f"{name} has no groups, so there is nothing to run")
     seeds = _seeds(top.get("seeds", 1), name)
-    numbers = _mapping(top.get("set") or {}, f"{name}, set")
+    numbers = _numbers(top, name)
     threads = _typed(top.get("threads", 1), int, f"{name}, threads")
     return SweepFile(
         text=text,
@@ -181,10 +182,8 @@ def _part_of(group: Group, part: Part) -> Group:
     ]
     if part.steps is not None:
         configurations = [
-            replace(c, numbers={k: v for k, v in c.numbers.items() if k != "steps"}
-                    | {"total_steps": part.steps})
-            for c in configurations
-        ]  # fmt: skip
+            replace(c, numbers={**c.numbers, "total_steps": part.steps}) for c in configurations
+        ]
     return replace(
         group,
         tasks=tuple(task for task in group.tasks if not part.tasks or task in part.tasks),
@@ -209,7 +208,7 @@ def _group(
     name: str, content: object, where: str, seeds: tuple[int, ...], numbers: Mapping[str, Value]
 ) -> Group:
     given = _mapping(content, where, _GROUP)
-    numbers = {**numbers, **_mapping(given.get("set") or {}, f"{where}, set")}
+    numbers = {**numbers, **_numbers(given, where)}
     options = _mapping(given.get("options") or {}, f"{where}, options")
     entries = given.get("configurations")
     if not isinstance(entries, list) or not entries:
@@ -243,9 +242,14 @@ def _configuration(
         preset=given["preset"],
         learner=given.get("learner"),
         exploration=given.get("exploration"),
-        numbers={**numbers, **_mapping(given.get("set") or {}, f"{here}, set")},
+        numbers={**numbers, **_numbers(given, here)},
         options={**options, **_mapping(given.get("options") or {}, f"{here}, options")},
     )
+
+
+def _numbers(given: Mapping[str, Any], where: str) -> dict[str, Value]:
+    where = f"{where}, set"
+    return by_one_name(_mapping(given.get("set") or {}, where), where)
 
 
 def _mapping(content: object, where: str, allowed: tuple[str, ...] | None = None) -> dict[str, Any]:

@@ -87,6 +87,36 @@ def test_numbers_methods_and_options_arrive() -> None:
     assert "far" in found.runs[0].name
 
 
+def test_a_run_has_the_number_of_its_configuration_however_its_group_writes_it() -> None:
+    found = plan(
+        "  g:\n"
+        "    tasks: [t]\n"
+        "    set: {steps: 2000, rollout.num-envs: 10}\n"
+        "    configurations:\n"
+        "      - {preset: a, set: {total_steps: 1000, rollout.num_envs: 3}}\n"
+        "      - b",
+        "set: {total_steps: 400000, rollout.num_envs: 5}",
+    )
+    own, group = (run.config for run in found.runs)
+    assert (own.total_steps, own.rollout.num_envs) == (1000, 3)
+    assert (group.total_steps, group.rollout.num_envs) == (2000, 10)
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        "options: {target: x}, configurations: [a]",
+        "configurations: [{preset: a, options: {target: x}}]",
+    ],
+)
+def test_a_target_that_is_also_an_option_is_refused(said: str) -> None:
+    """One would silently beat the other; alone each does."""
+    (run,) = plan(f"  g: {{tasks: [t], {said}}}").runs
+    assert dict(run.config.task_options)["target"] == "x"
+    with pytest.raises(ConfigurationError, match="'target' is given beside the group's targets"):
+        plan(f"  g: {{tasks: [t], targets: [y], {said}}}")
+
+
 @pytest.mark.parametrize(
     ("configuration", "says"),
     [

@@ -48,6 +48,53 @@ def test_the_narrower_place_wins() -> None:
     assert first.options == {"time_input": True, "start_noise": 0.1}
 
 
+@pytest.mark.parametrize("wide", ["steps", "total-steps", "total_steps"])
+@pytest.mark.parametrize("narrow", ["steps", "total-steps", "total_steps"])
+def test_the_narrower_place_wins_however_either_writes_a_number(wide: str, narrow: str) -> None:
+    sweep = parse_sweep(
+        f"set: {{{wide}: 1, rollout.num-envs: 1}}\n"
+        "groups:\n"
+        "  a:\n"
+        "    tasks: [t]\n"
+        f"    set: {{{narrow}: 2, rollout.num_envs: 2}}\n"
+        f"    configurations: [p, {{preset: q, set: {{{wide}: 3, rollout.num-envs: 3}}}}]",
+        "f",
+    )
+    group, own = sweep.groups[0].configurations
+    assert group.numbers == {"total_steps": 2, "rollout.num_envs": 2}
+    assert own.numbers == {"total_steps": 3, "rollout.num_envs": 3}
+    (tried,) = narrowed(sweep, Part(configurations=["q"], steps=4)).groups
+    assert tried.configurations[0].numbers == {"total_steps": 4, "rollout.num_envs": 3}
+
+
+@pytest.mark.parametrize(
+    ("text", "where"),
+    [
+        (f"set: SET\n{SHORT}", "f, set"),
+        ("groups: {a: {tasks: [t], configurations: [p], set: SET}}", "f, group a, set"),
+        (
+            "groups: {a: {tasks: [t], configurations: [{name: n, preset: p, set: SET}]}}",
+            "f, group a, configuration n, set",
+        ),
+    ],
+)
+@pytest.mark.parametrize(
+    ("numbers", "says"),
+    [
+        ("{steps: 1, total_steps: 1}", "total_steps is given twice, as 'steps' and 'total_steps'"),
+        ("{total_steps: 1, total-steps: 2}", "as 'total_steps' and 'total-steps'"),
+        ("{learner.n-step: 1, learner.n_step: 1}", "learner.n_step is given twice"),
+    ],
+)
+def test_a_number_that_is_set_twice_in_one_place_is_refused(
+    text: str, where: str, numbers: str, says: str
+) -> None:
+    with pytest.raises(ConfigurationError) as error:
+        parse_sweep(text.replace("SET", numbers), "f")
+    assert str(error.value).startswith(f"{where}: ")
+    assert says in str(error.value)
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [
