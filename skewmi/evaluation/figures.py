@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from skewmi.evaluation import drawing
 from skewmi.evaluation.learning import read_table
 from skewmi.policy_io import Array, PolicyLayout
+from skewmi.sweep.visited import visited_trajectories
 from skewmi.train.checkpoint import read_checkpoint
 from skewmi.train.config import TrainConfig
-from skewmi.train.history import visited_states
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -90,7 +90,7 @@ def draw_coverage(
     *,
     reachable: Reachable | None = None,
 ) -> Path:
-    """Visited states over what is reachable, coloured by when they were met.
+    """Visited states over what is reachable, coloured by the trajectory that they were met in.
 
     A task with two state fields gets one panel, with its walls; others one for the first two
     measured fields and one for the hand's vertical plane, as far as the layout has them.
@@ -103,13 +103,13 @@ def draw_coverage(
         reachable: `BatchEnv.reachable` of the run's task, for the walls of two state fields; None
             draws none.
     """
-    states, _ = visited_states(run_dir)
-    episodes = np.repeat(np.arange(len(states)), states.shape[1])
+    states, numbers = visited_trajectories(run_dir)
+    trajectories = np.repeat(numbers, states.shape[1])
     flat = states.reshape(-1, states.shape[-1])
     if len(flat) > _MAX_POINTS:
         chosen = np.random.default_rng(0).choice(len(flat), size=_MAX_POINTS, replace=False)
         chosen.sort()
-        flat, episodes = flat[chosen], episodes[chosen]
+        flat, trajectories = flat[chosen], trajectories[chosen]
     names = [field.name for field in layout.state_fields]
     grid = [names.index(axis.field) for axis in config.task_metrics.grid[:2]]
     panels = [grid if len(grid) == 2 else [0, 1]]
@@ -122,7 +122,7 @@ def draw_coverage(
         if plane and reachable is not None:
             _draw_walls(axis, reachable, layout, columns)
         points = axis.scatter(
-            flat[:, columns[0]], flat[:, columns[1]], c=episodes, s=2.0, linewidths=0,
+            flat[:, columns[0]], flat[:, columns[1]], c=trajectories, s=2.0, linewidths=0,
             cmap="viridis", rasterized=True,
         )  # fmt: skip
         outlined.append(drawing.draw_region(axis, layout, columns))
@@ -134,10 +134,10 @@ def draw_coverage(
     figure.colorbar(points, ax=axes[0], label="trajectory", shrink=0.8)
     meaning = "rewarded states" if config.rewarded else "states of the target, not rewarded here,"
     legend = f"; {meaning} lie inside orange" if any(outlined) else ""
+    held, made = len(numbers), int(numbers[-1])
+    which = f"{made:,}" if held == made else f"the last {held:,} of {made:,}"
     drawing.set_title(
-        figure,
-        f"{layout.task}: states visited in {len(states):,} trajectories{legend}",
-        fontsize=11,
+        figure, f"{layout.task}: states visited in {which} trajectories{legend}", fontsize=11
     )
     drawing.save(figure, path, dpi)
     return path

@@ -13,9 +13,9 @@ import numpy as np
 from skewmi.errors import CheckpointError
 from skewmi.evaluation import drawing
 from skewmi.policy_io import Array, PolicyLayout
+from skewmi.sweep.visited import visited_trajectories
 from skewmi.train.checkpoint import read_checkpoint, read_run_header
 from skewmi.train.config import TrainConfig
-from skewmi.train.history import visited_states
 from skewmi.train.log import read_metrics
 from skewmi.train.milestones import REWARD_EVENT
 
@@ -69,6 +69,15 @@ class RunRecord:
         return {name: found.get(name) for name in names}
 
     @property
+    def goes_on(self) -> bool:
+        """Whether more is to come. Where `minutes` may have ended the run nothing says if they did,
+        and it counts as ended."""
+        config = self.config
+        converged = config.stop_on_convergence and self.converged_at is not None
+        steps_left = int(self.state["step"]) < config.total_steps
+        return steps_left and not converged and config.minutes is None
+
+    @property
     def curve(self) -> tuple[Array, Array]:
         """Trajectories, and the evaluations' rewarded share of last states, equal shapes."""
         x, y = np.array(self.table["trajectories"]), np.array(self.table["evaluation_fraction"])
@@ -113,11 +122,17 @@ def read_record(run_dir: Path) -> RunRecord:
 
 
 def median_curve(records: Sequence[RunRecord]) -> tuple[Array, Array]:
-    """Median over runs at every trajectory count of any; an ended run keeps its last value."""
-    curves = [record.curve for record in records]
-    grid = np.unique(np.concatenate([x for x, _ in curves]))
-    held = [y[np.maximum(np.searchsorted(x, grid, side="right") - 1, 0)] for x, y in curves]
-    return grid, np.median(held, axis=0)
+    """Median over runs at every trajectory count of any.
+
+    A run that has ended keeps its last value; one that goes on counts as far as it is.
+    """
+    grid = np.unique(np.concatenate([record.curve[0] for record in records]))
+    held = []
+    for record in records:
+        x, y = record.curve
+        values = y[np.maximum(np.searchsorted(x, grid, side="right") - 1, 0)]
+        held.append(np.where(record.goes_on & (grid > x[-1]), np.nan, values))
+    return grid, np.nanmedian(held, axis=0)
 
 
 def draw_learning(
@@ -146,8 +161,12 @@ def draw_learning(
     _draw_discoveries(below, records, rows)
     end = max(record.trajectories for record in records)
     top.set_xlim(-0.01 * end, 1.02 * end)
+    words = ""
     if shown_planes:
-        states, _ = visited_states(shown.run_dir)
+        states, numbers = visited_trajectories(shown.run_dir)
+        words = f"; visited states of seed {shown.config.seed}"
+        if len(numbers) < numbers[-1]:
+            words += f" in its last {len(numbers):,} trajectories"
         flat = states.reshape(-1, states.shape[-1])
         for k, columns in enumerate(shown_planes):
             _draw_visits(figure.add_subplot(grid[2, k]), first.layout, flat, columns)
@@ -157,9 +176,7 @@ def draw_learning(
     drawing.set_title(
         figure,
         f"{first.config.task}, preset {first.config.preset}: {converged} of {len(records)} "
-        f"run{'s' * (len(records) > 1)} converged"
-        + f"; visited states of seed {shown.config.seed}"
-        * bool(shown_planes),
+        f"run{'s' * (len(records) > 1)} converged{words}",
         fontsize=11,
     )
     drawing.save(figure, path, dpi)

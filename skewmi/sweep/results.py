@@ -14,11 +14,11 @@ from skewmi.errors import CheckpointError
 from skewmi.outputs import written_aside
 from skewmi.sweep.elsewhere import Elsewhere
 from skewmi.sweep.plan import TARGET, Member, Plan, Run
-from skewmi.sweep.run_folder import is_done, read_parts, read_result
+from skewmi.sweep.run_folder import read_parts, read_result
 from skewmi.sweep.tables import RUN, Columns, Tables, as_columns, joined
+from skewmi.sweep.visited import visited_trajectories
 from skewmi.train.checkpoint import read_checkpoint, read_run_header
 from skewmi.train.config_json import to_document
-from skewmi.train.history import visited_states
 from skewmi.train.log import read_metrics
 from skewmi.train.registry import entry_of
 
@@ -188,22 +188,26 @@ def _states(kept: list[Run], runs: Path) -> Columns:
 def _visited(run_dir: Path) -> dict[str, np.ndarray[Any, Any]] | None:
     """Thinned states of a run by field, with their trajectories; kept beside a run that is done."""
     cache = run_dir / _STATES
+    result = read_result(run_dir)
     if cache.exists():
         with np.load(cache, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
+            found = {name: file[name] for name in file.files}
+        # They were once numbered from 1 also where the last alone were held.
+        if result and found["trajectory"][-1] == result.get("trajectories"):
+            return found
     try:
-        states, _ = visited_states(run_dir)
+        states, numbers = visited_trajectories(run_dir)
         _, layout = read_run_header(run_dir)
     except (CheckpointError, OSError):
         # Not begun, or its worker is replacing the checkpoint at this moment.
         return None
-    trajectories = np.repeat(np.arange(1, len(states) + 1), states.shape[1])
+    trajectories = np.repeat(numbers, states.shape[1])
     flat = states.reshape(-1, states.shape[-1])
     chosen = np.unique(np.linspace(0, len(flat) - 1, min(len(flat), MOST_STATES)).astype(int))
     names = [field.name for field in layout.state_fields]
     found = {"trajectory": trajectories[chosen].astype(np.int32)}
     found |= {name: flat[chosen, k].astype(np.float32) for k, name in enumerate(names)}
-    if is_done(run_dir):
+    if result:
         with written_aside(cache) as draft:
             np.savez_compressed(draft, **found)
     return found

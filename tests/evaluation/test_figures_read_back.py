@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib import pyplot
 
 from skewmi.cli.main import main
 from skewmi.evaluation import drawing
@@ -32,16 +34,19 @@ def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 
 @pytest.fixture
 def drawn(run: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[dict[str, Any]]:
-    """Figures by the name of their file, before they are made into pixels."""
-    from matplotlib import pyplot
+    """See `figures_of`."""
+    yield figures_of(run, tmp_path, monkeypatch)
+    pyplot.close("all")
 
+
+def figures_of(run: Path, out: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """Figures by the name of their file, before they are made into pixels."""
     figures: dict[str, Any] = {}
     monkeypatch.setattr(
         drawing, "save", lambda figure, path, dpi: figures.update({Path(path).name: figure})
     )
-    assert main(["figures", str(run), "--out", str(tmp_path)]) == 0
-    yield figures
-    pyplot.close("all")
+    assert main(["figures", str(run), "--out", str(out)]) == 0
+    return figures
 
 
 def column(run: Path, name: str) -> np.ndarray:
@@ -91,7 +96,7 @@ def test_points_of_the_coverage_are_states_that_were_visited(
     (points,) = [c for c in axis.collections if len(c.get_offsets()) == states[..., 0].size]
     np.testing.assert_allclose(points.get_offsets(), states.reshape(-1, states.shape[-1])[:, :2])
     np.testing.assert_array_equal(
-        points.get_array(), np.repeat(np.arange(len(states)), states.shape[1])
+        points.get_array(), np.repeat(np.arange(len(states)) + 1, states.shape[1])
     )
     title = title_of(figure)
     assert f"visited in {len(states):,} trajectories" in title
@@ -107,6 +112,30 @@ def test_points_of_the_coverage_are_states_that_were_visited(
         if rewarded
         else "; states of the target, not rewarded here, lie inside orange"
     )
+
+
+def test_where_the_last_states_alone_are_held_pictures_say_so(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run whose history has room for 5 of its 9 trajectories."""
+    wrapped = tmp_path / "wrapped"
+    shutil.copytree(run, wrapped)
+    header = json.loads((run / "config.json").read_text())
+    header["config"]["rollout"]["history_steps"] = 5 * header["layout"]["episode_steps"]
+    (wrapped / "config.json").write_text(json.dumps(header))
+    states, _ = visited_states(run)
+    figures = figures_of(wrapped, tmp_path, monkeypatch)
+    axis = figures["coverage.png"].axes[0]
+    flat = states[-5:].reshape(-1, states.shape[-1])
+    (points,) = [c for c in axis.collections if len(c.get_offsets()) == len(flat)]
+    np.testing.assert_allclose(points.get_offsets(), flat[:, :2])
+    made = len(states)
+    assert made > 5
+    numbers = np.repeat(np.arange(made - 5, made) + 1, states.shape[1])
+    np.testing.assert_array_equal(points.get_array(), numbers)
+    assert f"visited in the last 5 of {made} trajectories" in title_of(figures["coverage.png"])
+    assert "in its last 5 trajectories" in title_of(figures["learning.png"])
+    pyplot.close("all")
 
 
 def title_of(figure: Any) -> str:

@@ -96,6 +96,33 @@ def test_median_curve_holds_ended_runs_and_skips_gaps(runs: list[Path]) -> None:
     assert share.tolist() == [0.0, 0.2, 0.5, 0.5]
 
 
+@pytest.mark.parametrize(
+    ("changed", "converged_at", "held"),
+    [
+        ({}, None, False),
+        ({"total_steps": STEPS // 2}, None, True),
+        ({"stop_on_convergence": True}, None, False),
+        ({"stop_on_convergence": True}, 3, True),
+        ({"stop_on_convergence": False}, 3, False),
+        ({"minutes": 1.0}, None, True),
+    ],
+)
+def test_median_curve_holds_no_run_that_goes_on(
+    runs: list[Path], changed: dict[str, Any], converged_at: int | None, held: bool
+) -> None:
+    """Of a run at half its steps: whether its last value counts beyond it."""
+    record = read_record(runs[0])
+    short = replace(
+        with_curve(record, {10: 0.0, 20: 0.0}),
+        config=replace(record.config, **changed),
+        state={**record.state, "step": STEPS // 2, "converged_at": converged_at},
+    )
+    ended = with_curve(record, {10: 1.0, 20: 1.0, 30: 1.0})
+    grid, share = median_curve([short, ended])
+    assert grid.tolist() == [10.0, 20.0, 30.0]
+    assert share.tolist() == [0.5, 0.5, 0.5 if held else 1.0]
+
+
 def test_figures_of_an_arm_run_show_learning(
     runs: list[Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -9,7 +9,7 @@ from skewmi.errors import ConfigurationError
 from skewmi.evaluation import drawing
 from skewmi.evaluation.sweep_figures.curves import WORDS
 from skewmi.evaluation.sweep_figures.figure import COLOURS, Drawn, Request, write_figure
-from skewmi.evaluation.sweep_figures.runs import Entry, SweepRuns, missing, spread
+from skewmi.evaluation.sweep_figures.runs import Entry, SweepRuns, each_once, missing, spread
 
 KEYS = ("number", "without", "metric")
 
@@ -22,7 +22,8 @@ def draw_ablation(request: Request, runs: SweepRuns, stem: Path, dpi: int) -> Dr
     """
     number = str(request.more.get("number", ""))
     metric = str(request.more.get("metric", "entropy"))
-    entries = runs.of(request.groups)
+    # All configurations make one series: a run that two of them share is one of its points.
+    entries = each_once(runs.of(request.groups))
     values: dict[float, list[float]] = {}
     for entry in entries:
         at, value = _at(entry, number, request), entry.facts.get(metric)

@@ -21,10 +21,12 @@ class Curve:
     Attributes:
         x: Ascending. Shape (n,).
         y: Shape (n,).
+        ended: Whether the run has, so that no more values come.
     """
 
     x: Array
     y: Array
+    ended: bool
 
     def at(self, x: Array, *, hold: bool) -> Array:
         """Values in between, straight lines; outside NaN, or with `hold` the last one after it."""
@@ -58,7 +60,7 @@ class Entry:
         if not known.any():
             return None
         ascending = np.maximum.accumulate(self.table[x][known])
-        return Curve(ascending, self.table[y][known])
+        return Curve(ascending, self.table[y][known], self.facts.get("state") == "done")
 
 
 class SweepRuns:
@@ -81,6 +83,8 @@ class SweepRuns:
     def of(self, groups: Sequence[str], **facts: object) -> list[Entry]:
         """Runs of some groups, and of those facts.
 
+        Groups may share runs: each is there once per configuration, in the first group's place.
+
         Raises:
             NotFoundError: There is no such group.
         """
@@ -90,12 +94,13 @@ class SweepRuns:
                 raise NotFoundError(
                     f"no group {group!r} in these results; groups are {', '.join(known)}"
                 )
-        return [
-            entry
-            for entry in self.entries
-            if entry.facts["group"] in groups
-            and all(entry.facts.get(name) == value for name, value in facts.items())
-        ]
+        found: dict[tuple[str, str], Entry] = {}
+        for entry in self.entries:
+            if entry.facts["group"] in groups and all(
+                entry.facts.get(name) == value for name, value in facts.items()
+            ):
+                found.setdefault((entry.facts["configuration"], entry.name), entry)
+        return list(found.values())
 
     def states_of(self, run: str) -> dict[str, Array]:
         """Kept states of a run: `trajectory` and the fields that it has; empty if none are kept."""
@@ -131,6 +136,14 @@ def _by_run(curves: Columns) -> dict[str, dict[str, Array]]:
 def distinct(entries: Iterable[Entry], fact: str) -> list[Any]:
     """Values of a fact, in the order of the sweep file."""
     return list(dict.fromkeys(entry.facts.get(fact) for entry in entries))
+
+
+def each_once(entries: Iterable[Entry]) -> list[Entry]:
+    """One entry per run, its first, also where several configurations ask for it."""
+    found: dict[str, Entry] = {}
+    for entry in entries:
+        found.setdefault(entry.name, entry)
+    return list(found.values())
 
 
 def missing(entries: Sequence[Entry]) -> list[str]:
@@ -174,13 +187,14 @@ def band(curves: Sequence[Curve], *, hold: bool = False, points: int = 200) -> B
     Args:
         curves: At least one.
         hold: Whether a run that has ended keeps its last value, as one that was stopped because
-            it had converged; otherwise it counts as far as it goes.
+            it had converged; otherwise it counts as far as it goes, as one that goes on does
+            in any case.
         points: Of the grid.
     """
     grid = np.unique(np.concatenate([curve.x for curve in curves]))
     if len(grid) > points:
         grid = np.linspace(grid[0], grid[-1], points)
-    values = np.stack([curve.at(grid, hold=hold) for curve in curves])
+    values = np.stack([curve.at(grid, hold=hold and curve.ended) for curve in curves])
     known = np.isfinite(values)
     runs = known.sum(0)
     some = runs > 0

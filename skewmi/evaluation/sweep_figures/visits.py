@@ -144,6 +144,12 @@ def _shown(entries: Sequence[Entry], runs: SweepRuns) -> tuple[list[Entry], list
             found = next((e for e in mine if runs.states_of(e.name)), None)
             if found is not None:
                 shown.append(found)
+                gone = int(runs.states_of(found.name)["trajectory"].min()) - 1
+                if gone:
+                    lacking.append(
+                        f"{configuration} on {task}: no states of the first {gone:,} trajectories "
+                        "are held"
+                    )
             elif mine:
                 lacking.append(f"{configuration} on {task}: no run has kept its states")
     return shown, lacking + missing(shown)

@@ -84,6 +84,48 @@ def test_a_single_measurement_is_seen(
         assert (away < 0.05).sum() > 10
 
 
+@pytest.mark.parametrize(
+    ("kind", "more"),
+    [
+        ("exploration", {"metrics": ["entropy"]}),
+        ("learning", {"metric": "entropy"}),
+        ("convergence", {}),
+        ("ablation", {"number": "sigma", "without": 0}),
+    ],
+)
+@pytest.mark.parametrize("name", ["one", "said again"])
+def test_a_run_of_two_groups_counts_once(
+    tmp_path: Path, make_runs: Make, rows: Rows, kind: str, more: dict[str, Any], name: str
+) -> None:
+    """Under one name in every figure; under two where it is a point of one series."""
+    rows = [{**r, "converged_at": 50 + r["seed"]} for r in rows]
+    shared = [{**r, "group": "h", "configuration": name} for r in rows[:2]]
+    _, alone = drawn(tmp_path, make_runs(rows), draw=kind, **more)
+    _, both = drawn(tmp_path, make_runs([*rows, *shared]), draw=kind, groups=["g", "h"], **more)
+    assert [r for r in both if r.get("configuration") != "said again"] == alone
+
+
+def test_learning_holds_the_last_value_of_ended_runs_alone(
+    tmp_path: Path, make_runs: Make, rows: Rows
+) -> None:
+    """While a sweep is under way: a run that has just begun says nothing of later trajectories."""
+    rows = [r for r in rows if r["task"] == "maze" and r["configuration"] == "one"]
+
+    def last_row(state: str) -> dict[str, str]:
+        rows[0]["state"] = state
+        runs = make_runs(rows)
+        table_of_first = runs.of(["g"])[0].table
+        for name, column in table_of_first.items():
+            table_of_first[name] = column[:1]
+        _, table = drawn(tmp_path, runs, draw="learning", metric="entropy")
+        return table[-1]
+
+    ended, begun = last_row("done"), last_row("begun")
+    assert (ended["runs"], begun["runs"]) == ("3", "2")
+    assert float(ended["mean"]) == pytest.approx((2.5 + 11 + 12) / 3)
+    assert float(begun["mean"]) == pytest.approx((11 + 12) / 2)
+
+
 def test_learning_is_a_panel_per_target(tmp_path: Path, make_runs: Make, rows: Rows) -> None:
     rows = [{**r, "target": t, "run": f"{r['run']}-{t}"} for r in rows for t in ("t1", "t2")]
     _, table = drawn(tmp_path, make_runs(rows), draw="learning", metric="entropy", x="step")
@@ -136,6 +178,17 @@ def test_visits_show_what_was_seen_by_then(tmp_path: Path, make_runs: Make, rows
     assert [r["reached"] for r in table] == ["true", "true", "false"]
     assert float(table[0]["covered_cells"]) == pytest.approx(0.2)
     assert "two on maze: no run has kept its states" in result.missing
+
+
+def test_states_that_a_run_no_longer_holds_are_missing(
+    tmp_path: Path, make_runs: Make, rows: Rows
+) -> None:
+    rows = [r for r in rows if r["task"] == "maze"]
+    runs = make_runs(rows)
+    runs.states["trajectory"] = [number + 30 for number in runs.states["trajectory"]]
+    result, table = drawn(tmp_path, runs, draw="visits", refreshes=[1, 4])
+    assert [int(r["trajectories"]) for r in table] == [0, 100]
+    assert "one on maze: no states of the first 30 trajectories are held" in result.missing
 
 
 def test_targets_are_where_the_task_has_them(tmp_path: Path, make_runs: Make, rows: Rows) -> None:
