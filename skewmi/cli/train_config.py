@@ -23,9 +23,17 @@ MAX_STEPS = 10**12
 _ROBOT_OPTIONS = ("variation", "calibration")
 """Task options that say what the robot is and what is known of it, each with a flag."""
 
+_ENGINE_FLAG = "--learner.engine"
+"""How a learner computes its updates, which a run with another one's networks may do otherwise."""
+
 
 def _refuse_changes(
-    options: TrainCommand, config: TrainConfig, why: str, **more: tuple[object, object]
+    options: TrainCommand,
+    config: TrainConfig,
+    why: str,
+    *,
+    but: tuple[str, ...] = (),
+    **more: tuple[object, object],
 ) -> None:
     """What a run began with cannot change; to say the same again is no change.
 
@@ -33,6 +41,7 @@ def _refuse_changes(
         options: What is asked for; None was not said.
         config: Of the run.
         why: Ends the message.
+        but: Flags that may change all the same.
         more: Name of an option -> what it says (None: nothing), and what the run has.
 
     Raises:
@@ -46,7 +55,7 @@ def _refuse_changes(
         "num-envs": (options.num_envs, config.rollout.num_envs),
         **{name.replace("_", "-"): pair for name, pair in more.items()},
     }
-    flags = changed_flags(options.numbers, config)
+    flags = [flag for flag in changed_flags(options.numbers, config) if flag not in but]
     flags += [
         f"--{name} {given} (the run has {has})"
         for name, (given, has) in compared.items()
@@ -71,11 +80,12 @@ def begun_from(options: TrainCommand, config: TrainConfig) -> TrainConfig:
             "what another run has learned: leave out one of the two"
         )
     why = f"--start-from takes task and numbers from the run in {options.start_from}"
-    _refuse_changes(options, config, why)
+    _refuse_changes(options, config, why, but=(_ENGINE_FLAG,))
     origin = started_from(options.start_from, read_checkpoint(options.start_from))
     nominal = tuple((k, v) for k, v in config.task_options if k not in _ROBOT_OPTIONS)
     return replace(
         config,
+        learner=options.numbers.learner,  # the same but for its engine
         started_from=origin,
         taught_by="",  # it begins with what was learned, whoever taught that
         rewarded=not options.unrewarded,

@@ -15,7 +15,13 @@ Chosen = NDArray[np.bool_]
 
 
 class Beginning(Protocol):
-    """Gives actions instead of the learner: of whole episodes, or of how they begin."""
+    """Gives actions instead of the learner: of whole episodes, or of how they begin.
+
+    Attributes:
+        whole: Of whole episodes, evaluated ones included.
+    """
+
+    whole: bool
 
     def begin(
         self, shape: tuple[int, int, int], evaluation: int, generator: np.random.Generator
@@ -43,6 +49,8 @@ class Beginning(Protocol):
 class RandomBeginning:
     """Uniform random actions, of whole episodes."""
 
+    whole = True
+
     def begin(
         self, shape: tuple[int, int, int], evaluation: int, generator: np.random.Generator
     ) -> None:
@@ -63,6 +71,8 @@ class TaughtBeginning:
         noise_probability, noise_correlation: Of the random motion that some of its episodes end
             in, see `ExplorationNoise`: without it the learner sees one way to act in every state.
     """
+
+    whole = True
 
     def __init__(
         self, teacher: Policy, *, noise_probability: float, noise_correlation: float
@@ -103,6 +113,8 @@ class HandOver:
         teacher: See `TaughtBeginning`.
         probability: That it begins an episode.
     """
+
+    whole = False
 
     def __init__(self, teacher: Policy, probability: float) -> None:
         self._teacher, self._probability = teacher, probability

@@ -20,14 +20,13 @@ class Beginnings:
         self._config, self.teacher, self._taught = config, teacher, taught
         self._steps = config.taught_steps if taught else config.random_steps
 
-    def over(self, steps: int, total_steps: int) -> bool:
-        """Whether so many steps are enough to learn from.
+    def over(self, steps: int) -> bool:
+        """Whether so many steps are enough to learn from; a run that ends before learns nothing.
 
         Args:
             steps: Of the run so far.
-            total_steps: Of the whole run, at whose end random actions are learned from.
         """
-        return steps >= (self._steps if self._taught else min(self._steps, total_steps))
+        return steps >= self._steps
 
     def need_teacher(self, steps: int, converged: bool) -> bool:
         """Whether a teacher acts in the next episodes.

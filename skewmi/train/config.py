@@ -9,7 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from skewmi.batch_env import TaskMetrics
-from skewmi.train.checks import require
+from skewmi.train.checks import (
+    require,
+    require_at_least,
+    require_between,
+    require_finite,
+    require_positive,
+)
 from skewmi.train.exploration.protocol import ExplorationConfig
 from skewmi.train.learner import LearnerConfig
 
@@ -35,7 +41,8 @@ class RolloutConfig:
     evaluation_envs: int = 2
     """Of these, run the deterministic action, and only they tell whether the task is learned: the
     first towards the goal to be exported, the others towards rewarded states once there are any.
-    0: all trajectories count, as in the publication."""
+    What random actions or a teacher do at the start does not. 0: all trajectories count, as in the
+    publication."""
     evaluation_share: float = 0.4
     """Of the environments, do so while those of the iteration before ended in the reward, so that
     a policy that seems to be done is soon known; 0: never more than evaluation_envs."""
@@ -44,7 +51,8 @@ class RolloutConfig:
     those evaluated did not end in the reward yet. Exploration reaches a state before the
     deterministic action does; 1: not before that does."""
     random_steps: int = 5_000
-    """Environment steps of uniform random actions at the start."""
+    """Environment steps of uniform random actions at the start. Learning begins after them: a run
+    that ends before has learned nothing."""
     taught_steps: int = 25_000
     """Environment steps at the start that a teacher acts instead of random ones, if there is one
     (--teacher)."""
@@ -62,16 +70,17 @@ class RolloutConfig:
     """Steps kept; whole episodes, oldest dropped first."""
 
     def __post_init__(self) -> None:
+        require_finite(self)
+        require_at_least(1, self, "num_envs", "taught_steps", "history_steps")
+        require_at_least(0, self, "evaluation_envs", "random_steps")
         require(
-            0 <= self.evaluation_envs < max(self.num_envs, 1),
+            self.evaluation_envs < self.num_envs,
             f"evaluation_envs is {self.evaluation_envs}, must be below num_envs {self.num_envs}",
         )
-        require(self.taught_steps >= 1, f"taught_steps is {self.taught_steps}, needs at least 1")
-        for name in _SHARES:
-            share = getattr(self, name)
-            require(0.0 <= share <= 1.0, f"{name} is {share}, must lie in [0, 1]")
+        require_between(0.0, 1.0, self, *_SHARES)
+        require_between(-1.0, 1.0, self, "noise_correlation")
         require(
-            self.most_evaluation_envs < max(self.num_envs, 1),
+            self.most_evaluation_envs < self.num_envs,
             f"evaluation_share is {self.evaluation_share}: that is all of num_envs "
             f"{self.num_envs}, and nothing would explore",
         )
@@ -105,9 +114,13 @@ class MetricsConfig:
     """How many trajectories our criterion looks at; the published one looks at ten."""
 
     def __post_init__(self) -> None:
+        require_finite(self)
+        require_at_least(1, self, "entropy_points", "convergence_trajectories")
+        require_at_least(0, self, "every_steps")
+        require_positive(self, "entropy_bandwidth", "coverage_width", "convergence_tolerance")
         require(
-            self.convergence_trajectories >= 1,
-            f"convergence_trajectories is {self.convergence_trajectories}, needs at least 1",
+            0.0 < self.convergence_fraction <= 1.0,
+            f"convergence_fraction is {self.convergence_fraction}, needs 0 < it <= 1",
         )
 
 
@@ -153,9 +166,10 @@ class TrainConfig:
     metrics: MetricsConfig = field(default_factory=MetricsConfig)
 
     def __post_init__(self) -> None:
+        require_finite(self)
         require(self.device in ("cpu", "cuda"), f"device is {self.device!r}; allowed: cpu, cuda")
-        require(self.threads >= 1, f"threads is {self.threads}, needs at least 1")
-        require(self.total_steps >= 1, f"total_steps is {self.total_steps}, needs at least 1")
+        require_at_least(1, self, "threads", "total_steps", "checkpoint_every")
+        require_at_least(0, self, "seed", "minutes")
         require(
             self.rewarded or not self.stop_on_convergence,
             "stop_on_convergence is asked for, but the run is unrewarded, and without a reward "

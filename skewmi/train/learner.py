@@ -10,6 +10,7 @@ import numpy as np
 from torch import Tensor, nn
 
 from skewmi.policy_io import Array
+from skewmi.train.checks import require_finite
 from skewmi.train.exploration.protocol import Exploration
 from skewmi.train.replay import Episodes, Replay
 from skewmi.train.state import State
@@ -21,6 +22,9 @@ Hidden = tuple[Tensor, ...]
 @dataclass(frozen=True)
 class LearnerConfig:
     """The numbers of a learner; each learner derives its own."""
+
+    def __post_init__(self) -> None:
+        require_finite(self)
 
 
 @dataclass(frozen=True)
@@ -121,7 +125,11 @@ class Learner(Protocol):
         """
 
     def state_dict(self) -> State:
-        """All that an identical continuation needs."""
+        """All that an identical continuation needs.
+
+        Its random stream is named `generator`: another run that begins with this state (but does
+        not continue it) has one of its own there.
+        """
 
     def load_state_dict(self, state: State) -> None:
         """Inverse of `state_dict`.

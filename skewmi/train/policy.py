@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from skewmi.errors import CheckpointError, LayoutMismatchError
 from skewmi.policy_io import Array, PolicyLayout
 from skewmi.train.checkpoint import read_checkpoint, read_run_header
-from skewmi.train.registry import entry_of, make_learner
+from skewmi.train.registry import entry_of, make_policy
 from skewmi.train.state import as_array
 
 
@@ -72,7 +72,8 @@ class TorchPolicy:
 def load_policy(run_dir: Path, which: str = "latest") -> TorchPolicy:
     """The policy of a run, ready to act.
 
-    Its goal is the one that the run's evaluation episodes had.
+    Its goal is the one that the run's evaluation episodes had. It acts on the CPU, wherever and
+    with whatever engine the run was trained.
 
     Args:
         run_dir: Of the run.
@@ -87,8 +88,7 @@ def load_policy(run_dir: Path, which: str = "latest") -> TorchPolicy:
     state = checkpoint.state
     try:
         goal = as_array(state["evaluation_goal"]).astype(np.float64)
-        learner = make_learner(config.learner, layout, len(goal), config.seed, "cpu")
-        learner.load_state_dict(state["learner"])
+        module = make_policy(config.learner, layout, goal, state["learner"])
         metadata = {
             "task": layout.task,
             "method": entry_of(config.exploration)[0],
@@ -104,4 +104,4 @@ def load_policy(run_dir: Path, which: str = "latest") -> TorchPolicy:
         }
     except (KeyError, RuntimeError, ValueError, TypeError, AttributeError) as error:
         raise CheckpointError(f"checkpoint {checkpoint.path} is damaged: {error}") from error
-    return TorchPolicy(layout, learner.policy_module(goal), goal, metadata)
+    return TorchPolicy(layout, module, goal, metadata)

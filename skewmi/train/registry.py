@@ -12,9 +12,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from torch import nn
 
 from skewmi.errors import ConfigurationError, NotFoundError
-from skewmi.policy_io import PolicyLayout
+from skewmi.policy_io import Array, PolicyLayout
 from skewmi.train.exploration.protocol import Exploration, ExplorationConfig
 from skewmi.train.exploration.return_then_explore import (
     ReturnThenExplore,
@@ -24,10 +25,13 @@ from skewmi.train.exploration.rnd import Rnd, RndConfig
 from skewmi.train.exploration.skew_explore import SkewExplore, SkewExploreConfig
 from skewmi.train.exploration.skew_fit import SkewFit, SkewFitConfig
 from skewmi.train.learner import Learner, LearnerConfig
+from skewmi.train.ppo import module as ppo_module
 from skewmi.train.ppo.config import PpoConfig
 from skewmi.train.ppo.learner import PpoLearner
+from skewmi.train.sac import module as sac_module
 from skewmi.train.sac.config import SacConfig
 from skewmi.train.sac.learner import SacLearner
+from skewmi.train.state import State
 
 
 @dataclass(frozen=True)
@@ -38,15 +42,18 @@ class Entry:
         config: Type of its numbers; all have defaults.
         make: Builds it. A learner from (config, layout, goal_dim, seed, device), an exploration
             from (config, layout, generator).
+        policy: Of a learner: the policy in a checkpoint, from (config, layout, goal, state), for
+            who has not what learning needs; None: the whole learner is made for it.
     """
 
     config: type[Any]
     make: Callable[..., Any]
+    policy: Callable[..., nn.Module] | None = None
 
 
 LEARNERS: dict[str, Entry] = {
-    "sac": Entry(SacConfig, SacLearner),
-    "ppo": Entry(PpoConfig, PpoLearner),
+    "sac": Entry(SacConfig, SacLearner, sac_module.policy_of),
+    "ppo": Entry(PpoConfig, PpoLearner, ppo_module.policy_of),
 }
 EXPLORATIONS: dict[str, Entry] = {
     "skew-explore": Entry(SkewExploreConfig, SkewExplore),
@@ -101,6 +108,28 @@ def make_learner(
     """
     learner: Learner = entry_of(config)[1].make(config, layout, goal_dim, seed, device)
     return learner
+
+
+def make_policy(
+    config: LearnerConfig, layout: PolicyLayout, goal: Array, state: State
+) -> nn.Module:
+    """The deterministic policy of a learner towards one goal, on the CPU.
+
+    Args:
+        config: The learner's numbers.
+        layout: Of the task.
+        goal: In the task's units. Shape (goal_dim,).
+        state: Of the learner, wherever it has learned.
+
+    Raises:
+        CheckpointError, KeyError, ValueError, TypeError: The state does not fit or is damaged.
+    """
+    make = entry_of(config)[1].policy
+    if make is not None:
+        return make(config, layout, goal, state)
+    learner = make_learner(config, layout, len(goal), 0, "cpu")
+    learner.load_state_dict(state)
+    return learner.policy_module(goal)
 
 
 def make_exploration(

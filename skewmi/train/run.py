@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -80,7 +81,8 @@ def run_train(
         run_dir: Created; must not hold a run unless resuming.
         resume: Continue from the latest checkpoint; with none yet, start.
         start_from: Directory of another run, of the same networks and layout: a new run begins
-            with its networks, episodes and counters, say under another variation of the model.
+            with its networks, episodes and counters, but its own random streams, say under another
+            variation of the model.
         teacher: Of a run that is taught (`TrainConfig.taught_by`), until it has converged.
         progress: Bar on standard error.
 
@@ -167,13 +169,13 @@ def _iterate(
     """
     metrics: dict[str, float] = {}
     while (stop := _stop_reason(config, runner, time.monotonic() - started)) is None:
-        metrics, new = runner.iterate()
+        # The best one is what was evaluated, so it is written before that learns on. If the run
+        # dies before the next checkpoint, going on from the one before writes the same again.
+        metrics, new = runner.iterate(partial(_save, runner, run_dir, best=True))
         metrics["seconds"] = before + time.monotonic() - started
         # The row first: rows after the checkpoint are dropped on resuming, so a kill between the
         # two costs neither a row nor doubles one.
         table.write(metrics)
-        if runner.improved():
-            write_checkpoint(run_dir, runner.steps, runner.state_dict(), None, best=True)
         if runner.iteration % config.checkpoint_every == 0:
             _save(runner, run_dir)
         for name in new:
@@ -184,8 +186,9 @@ def _iterate(
     return metrics, stop
 
 
-def _save(runner: Runner, run_dir: Path) -> None:
-    write_checkpoint(run_dir, runner.steps, runner.state_dict(), runner.history)
+def _save(runner: Runner, run_dir: Path, *, best: bool = False) -> None:
+    history = None if best else runner.history
+    write_checkpoint(run_dir, runner.steps, runner.state_dict(), history, best=best)
 
 
 def earlier_seconds(run_dir: Path) -> float:
@@ -219,13 +222,13 @@ def _open(
         _require_same_config(config, earlier, run_dir)
     has_checkpoint = exists and any((run_dir / "checkpoints").glob("[0-9]*"))
     origin = None if has_checkpoint else _origin(config, env, run_dir, start_from)
-    # Before anything is written: it refuses what does not fit.
+    # Both before anything is written: they refuse what does not fit.
     runner = Runner(config, env, teacher)
     if not has_checkpoint:
         _require_teacher(runner, run_dir)
-    write_run_header(run_dir, config, env.layout)
     if origin is not None:
         runner.begin_with(origin)
+    write_run_header(run_dir, config, env.layout)
     if not has_checkpoint:
         return runner, (0 if exists else None)
     checkpoint = read_checkpoint(run_dir)

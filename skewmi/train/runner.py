@@ -6,20 +6,22 @@ Knows neither learner nor exploration by name: `registry` makes them from their 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 
 from skewmi.batch_env import BatchEnv
 from skewmi.errors import CheckpointError
 from skewmi.policy_io import Array, Policy
-from skewmi.train.beginning import TaughtBeginning
 from skewmi.train.beginnings import Beginnings
 from skewmi.train.blocks import read_blocks
 from skewmi.train.checkpoint import Checkpoint
-from skewmi.train.checks import require
+from skewmi.train.compatibility import require_explored, require_own_actions
 from skewmi.train.config import MetricsConfig, TrainConfig
 from skewmi.train.convergence import Convergence
-from skewmi.train.learner import Rollout
+from skewmi.train.learner import Learner, Rollout
 from skewmi.train.metrics import CoverageMetrics
 from skewmi.train.milestones import Discoveries
 from skewmi.train.registry import make_exploration, make_learner
@@ -47,14 +49,9 @@ class Runner:
         self.generator = np.random.default_rng([config.seed, 1])
         self.exploration = make_exploration(config.exploration, layout, self.generator)
         goal_dim = self.exploration.goal_dim
-        self.learner = make_learner(config.learner, layout, goal_dim, config.seed, config.device)
+        self.learner = self._new_learner(config.seed)
         if self.learner.on_policy:
-            _require_own_actions(config)
-            require(
-                not self.exploration.moves_at_random,
-                "this learner is on-policy: it needs an exploration that leaves all actions to it, "
-                "say --exploration.explore-steps 0",
-            )
+            require_own_actions(config, self.exploration)
         self.history = Replay(layout, config.rollout.history_steps, goal_dim)
         self.coverage = CoverageMetrics(layout, config.task_metrics, config.metrics)
         self.discoveries = Discoveries(layout, config.task_metrics.events)
@@ -75,8 +72,14 @@ class Runner:
         """Finished so far."""
         return self.history.count
 
-    def iterate(self) -> tuple[dict[str, float], list[str]]:
+    def iterate(
+        self, improved: Callable[[], None] | None = None
+    ) -> tuple[dict[str, float], list[str]]:
         """Collect one episode per environment and learn from what was visited.
+
+        Args:
+            improved: Called if the evaluation was better than ever before, while goal and networks
+                are those that were evaluated.
 
         Returns:
             Metrics by name, and the names of the events met for the first time.
@@ -94,21 +97,23 @@ class Runner:
             beginning=beginning,
             rewarded=c.rewarded,
         )
-        term, new = self._keep(rollout, taught=isinstance(beginning, TaughtBeginning))
+        term, new = self._keep(rollout, own=beginning is None or not beginning.whole)
         collected = time.perf_counter()
+        if self._improved() and improved is not None:
+            improved()
+        evaluated = time.perf_counter()
         refreshes = self.exploration.refreshes
         metrics = self.exploration.refresh(self.history, self.steps, self.generator)
         metrics |= self._measure(rollout, refreshed=self.exploration.refreshes > refreshes)
         refreshed = time.perf_counter()
-        if self.beginnings.over(self.steps, c.total_steps):
+        if self.beginnings.over(self.steps):
             metrics |= self._learn(rollout, term)
-        self.iteration += 1
         metrics |= {
             "step": float(self.steps),
             "trajectories": float(self.episodes),
             "updates": float(self.learner.updates),
             "seconds_rollout": collected - started,
-            "seconds_goals": refreshed - collected,
+            "seconds_goals": refreshed - evaluated,
             "seconds_update": time.perf_counter() - refreshed,
         }
         return metrics, new
@@ -120,8 +125,13 @@ class Runner:
         nearly = rollout.evaluation_from < 1.0 and self.rewarded_share >= rollout.evaluation_from
         return rollout.most_evaluation_envs if done or nearly else rollout.evaluation_envs
 
-    def _keep(self, rollout: Rollout, *, taught: bool) -> tuple[Array, list[str]]:
-        """Remember finished episodes; their trajectory term, and events met for the first time."""
+    def _keep(self, rollout: Rollout, *, own: bool) -> tuple[Array, list[str]]:
+        """Remember finished episodes; their trajectory term, and events met for the first time.
+
+        Args:
+            rollout: As collected.
+            own: Whether the evaluated episodes are the learner's own.
+        """
         episodes = rollout.episodes
         term = self.exploration.observe(episodes)
         reached = episodes.observations[:, 1:]
@@ -130,10 +140,13 @@ class Runner:
         d = self.layout.state_dim
         self.coverage.add(reached[..., :d].reshape(-1, d))
         self.steps += episodes.rewards.size
+        self.iteration += 1
         rewarded = (episodes.rewards > 0.0).any(1)
         self.rewarded_episodes += int(rewarded.sum())
         self.rewarded_share = float(rewarded.mean())
-        if not taught:  # what a teacher can do is not what this run has learned
+        # What a teacher or chance can do is not what this run has learned. Where nothing is
+        # evaluated all trajectories count, as in the publication.
+        if own or rollout.evaluation == 0:
             counted = _counted(rollout)
             self.convergence.add(
                 episodes.observations[counted], episodes.rewards[counted], self.episodes
@@ -164,7 +177,7 @@ class Runner:
         self.learner.observe(rollout, trajectory_term)
         return self.learner.update(self.history, self.exploration, self.generator)
 
-    def improved(self) -> bool:
+    def _improved(self) -> bool:
         """Whether the evaluation is better than ever before; remembers that it was."""
         score = self.convergence.score
         if score <= self.best_score:
@@ -202,10 +215,22 @@ class Runner:
     def begin_with(self, checkpoint: Checkpoint) -> None:
         """Take networks, episodes and counters from another run; what converged there has not here.
 
+        What is random from here on comes from this run's seed, and from how far the other one had
+        come: the same seed does not repeat what that began with.
+
         Raises:
             CheckpointError: It is damaged or does not fit.
+            ConfigurationError: It has met a reward, and this run is to have none.
         """
-        self.load(checkpoint, environment=False)
+        s = checkpoint.state
+        with _reading(checkpoint):
+            require_explored(self.config, s["rewarded_episodes"])
+            stream = np.random.default_rng([self.config.seed, 1, s["step"]])
+            fresh = self._new_learner(int(stream.integers(2**63 - 1))).state_dict()
+            streams = {name: value for name, value in fresh.items() if name == "generator"}
+            learner = {**s["learner"], **streams}
+        own = {"learner": learner, "generator": stream.bit_generator.state}
+        self.load(replace(checkpoint, state={**s, **own}), environment=False)
         self.best_score = (0.0, 0.0)
         self.convergence = _new_convergence(self.config.metrics)
 
@@ -220,7 +245,7 @@ class Runner:
             CheckpointError: It is damaged or does not fit.
         """
         s = checkpoint.state
-        try:
+        with _reading(checkpoint):
             self.learner.load_state_dict(s["learner"])
             self.exploration.load_state_dict(s["exploration"])
             self.coverage.load_state_dict(s["coverage"])
@@ -235,8 +260,19 @@ class Runner:
             if environment:
                 self.env.set_random_state(s["env_random"])
             read_blocks(self.history, checkpoint.path / "replay", s["episodes"])
-        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-            raise CheckpointError(f"checkpoint {checkpoint.path} is damaged: {error}") from error
+
+    def _new_learner(self, seed: int) -> Learner:
+        c, goal_dim = self.config, self.exploration.goal_dim
+        return make_learner(c.learner, self.layout, goal_dim, seed, c.device)
+
+
+@contextmanager
+def _reading(checkpoint: Checkpoint) -> Iterator[None]:
+    """What goes wrong inside is the checkpoint's fault."""
+    try:
+        yield
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        raise CheckpointError(f"checkpoint {checkpoint.path} is damaged: {error}") from error
 
 
 def _new_convergence(m: MetricsConfig) -> Convergence:
@@ -246,17 +282,3 @@ def _new_convergence(m: MetricsConfig) -> Convergence:
 def _counted(rollout: Rollout) -> slice:
     """The episodes that tell whether the task is learned: evaluated ones, or all without any."""
     return slice(rollout.evaluation or None)
-
-
-def _require_own_actions(config: TrainConfig) -> None:
-    """An on-policy learner learns from what its own policy did, so nothing may replace that."""
-    rollout = config.rollout
-    require(
-        not config.taught_by,
-        "this learner is on-policy: it cannot learn from what a teacher did; leave out --teacher",
-    )
-    require(
-        rollout.random_steps == 0 and rollout.noise_probability == 0.0,
-        f"this learner is on-policy: it needs rollout.random_steps 0, not {rollout.random_steps}, "
-        f"and rollout.noise_probability 0, not {rollout.noise_probability}",
-    )

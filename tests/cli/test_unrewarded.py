@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import pytest
 from skewmi.cli.main import main
 from skewmi.cli.train_config import resolve
 from skewmi.cli.train_options import default_options
-from skewmi.train.checkpoint import read_run_header
+from skewmi.train.checkpoint import read_checkpoint, read_run_header
 from skewmi.train.presets import PRESETS
 
 SHORT = ["--task", "point_maze", "--num-envs", "2", "--quiet"]
@@ -48,3 +49,22 @@ def test_a_run_stays_what_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert read_run_header(tmp_path / "told")[0].rewarded
     assert main([*told, "--resume", "--unrewarded", "--steps", "1600"]) == 2
     assert "--unrewarded True (the run has False)" in capsys.readouterr().err
+
+
+def test_what_was_paid_cannot_be_forgotten(
+    maze_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    origin, folder = tmp_path / "origin", tmp_path / "run"
+    shutil.copytree(maze_run, origin)
+    begin = ["train", "--run-dir", str(folder), "--start-from", str(origin), "--unrewarded"]
+    file = read_checkpoint(origin).path / "state.json"
+    state = json.loads(file.read_text())
+    assert state["rewarded_episodes"] == 0
+    file.write_text(json.dumps({**state, "rewarded_episodes": 3}))
+    assert main([*begin, "--quiet", "--steps", "1600"]) == 2
+    error = capsys.readouterr().err
+    assert "has met the reward in 3 episodes" in error
+    assert "leave out --unrewarded" in error
+    assert not folder.exists()
+    file.write_text(json.dumps(state))
+    assert main([*begin, "--quiet", "--steps", "1600"]) == 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ ITERATION = 10 * 40
 
 @pytest.fixture
 def config(corridor_config):
-    rollout = replace(corridor_config.rollout, num_envs=10, evaluation_envs=2)
+    rollout = replace(corridor_config.rollout, num_envs=10, evaluation_envs=2, random_steps=0)
     return replace(corridor_config, rollout=rollout)
 
 
@@ -89,6 +90,21 @@ def test_how_many_at_most(config, make_paid, monkeypatch, envs, share, most) -> 
     assert evaluated(runner, monkeypatch, [0.0, 1.0]) == [envs, most]
     # Without copies that are evaluated, all trajectories count.
     assert len(runner.convergence.shares) == (envs + most or 20)
+
+
+@pytest.mark.parametrize(("envs", "counted"), [(2, [0, 0, 2]), (0, [10, 20, 30])])
+def test_random_actions_are_no_evaluation(config, make_paid, envs: int, counted: list[int]) -> None:
+    """They end in the reward in this corridor, and it is not what the run has learned."""
+    rollout = replace(config.rollout, evaluation_envs=envs, random_steps=2 * ITERATION)
+    runner = Runner(replace(config, rollout=rollout), make_paid())
+    seen, improved = [], []
+    for iteration in range(3):
+        metrics, _ = runner.iterate(partial(improved.append, iteration))
+        assert metrics["rewarded_fraction"] > 0.5
+        assert (metrics["evaluation_fraction"] > 0.0) == (seen == [0, 0] or envs == 0)
+        seen.append(len(runner.convergence.shares))
+    assert seen == counted
+    assert improved[0] == (2 if envs else 0)
 
 
 def test_evaluated_copies_of_one_policy_differ(config, make_paid) -> None:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from skewmi.errors import LayoutMismatchError
 from skewmi.policy_io import Ball
@@ -15,10 +17,14 @@ from skewmi.train.log import read_metrics
 from skewmi.train.policy import load_policy
 from skewmi.train.registry import make_learner
 from skewmi.train.run import run_train
+from skewmi.train.state import split
 
 
-def test_policy_of_a_run(tmp_path, make_corridor, corridor_config) -> None:
+@pytest.mark.parametrize("average", [0.0, 0.9])
+def test_policy_of_a_run(tmp_path, make_corridor, corridor_config, average: float) -> None:
     env = make_corridor()
+    learner = replace(corridor_config.learner, actor_average=average)
+    corridor_config = replace(corridor_config, learner=learner)
     run_train(corridor_config, env, tmp_path, progress=False)
     policy = load_policy(tmp_path)
     assert policy.layout == env.layout
@@ -46,6 +52,8 @@ def test_best_checkpoint_is_the_best_evaluated(tmp_path, make_corridor, corridor
     env = make_corridor()
     everywhere = replace(env.layout, reward_region=(Ball(("x",), (2.0,), 2.0),))
     env.layout = everywhere
+    rollout = replace(corridor_config.rollout, random_steps=0)
+    corridor_config = replace(corridor_config, rollout=rollout)
     result = run_train(corridor_config, env, tmp_path, progress=False)
     assert result.evaluation_fraction == 1.0
     # One of five is evaluated in the first iteration, and two once that one ended in the reward:
@@ -67,3 +75,31 @@ def test_best_checkpoint_is_the_best_evaluated(tmp_path, make_corridor, corridor
         met = np.array(table["trajectories"]) >= at
         assert (column[met] == at).all()
         assert np.isnan(column[~met]).all()
+
+
+def test_best_checkpoint_holds_what_was_evaluated(tmp_path, make_corridor, corridor_config) -> None:
+    """Networks and goal as they were for these episodes, not as what they taught left them."""
+
+    def run(name: str, *steps: int) -> Path:
+        for total in steps:
+            env = make_corridor()
+            env.layout = replace(env.layout, reward_region=(Ball(("x",), (2.0,), 2.0),))
+            config = replace(corridor_config, total_steps=total)
+            run_train(config, env, tmp_path / name, resume=True, progress=False)
+        return tmp_path / name
+
+    # The first iteration is random, the second the first that is evaluated.
+    whole, parts = run("whole", 400), run("parts", 200, 400)
+    before, after = (read_checkpoint(folder).state for folder in (run("half", 200), whole))
+    for folder in (whole, parts):
+        best = read_checkpoint(folder, "best")
+        assert best.path.name == "best-0000000400"
+        assert best.state["updates"] == before["updates"] < after["updates"]
+        ours, theirs = (split(s["learner"])[0] for s in (best.state, before))
+        assert all(torch.equal(ours[k], theirs[k]) for k in ours if k.startswith("actor/"))
+        assert torch.equal(best.state["evaluation_goal"], before["evaluation_goal"])
+        assert not torch.equal(best.state["evaluation_goal"], after["evaluation_goal"])
+        assert best.state["evaluation_fraction"] == 1.0
+    one, other = (split(read_checkpoint(folder, "best").state) for folder in (whole, parts))
+    assert one[1] == other[1]
+    assert all(torch.equal(one[0][name], other[0][name]) for name in one[0])

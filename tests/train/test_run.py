@@ -14,12 +14,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from train_runs import assert_same_checkpoint, assert_same_table
+from train_runs import assert_same_checkpoint, assert_same_table, resumes_alike
 
 from skewmi.errors import CheckpointError, ConfigurationError, LayoutMismatchError
 from skewmi.train import checkpoint as checkpoints
 from skewmi.train.checkpoint import read_checkpoint, read_run_header
 from skewmi.train.config_json import to_document
+from skewmi.train.log import read_metrics
 from skewmi.train.policy import load_policy
 from skewmi.train.run import run_train
 
@@ -215,3 +216,19 @@ def test_skewed_goals_cover_more(tmp_path, make_corridor, corridor_config) -> No
             fractions.append(result.metrics["covered_cells"])
         covered[exponent] = np.mean(fractions)
     assert covered[-2.5] > covered[0.0] + 0.05, covered
+
+
+def test_the_budget_does_not_change_what_a_run_computes(
+    tmp_path, make_corridor, corridor_config
+) -> None:
+    """Not even one that ends before there is anything to learn from."""
+    rollout = replace(corridor_config.rollout, random_steps=600)
+    config = replace(corridor_config, rollout=rollout, total_steps=1000)
+    whole = resumes_alike(config, make_corridor, tmp_path, 400)
+    updates = read_metrics(whole)["updates"]
+    assert [count > 0 for count in updates] == [False, False, True, True, True]
+    short = replace(config, total_steps=200)
+    run_train(short, make_corridor(), tmp_path / "short", progress=False)
+    policy = load_policy(tmp_path / "short")
+    assert policy.metadata["updates"] == 0
+    assert np.isfinite(policy.act(np.zeros((1, 3)))).all()

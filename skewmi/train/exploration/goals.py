@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from skewmi.policy_io import Array, PolicyLayout
-from skewmi.train.checks import require
+from skewmi.train.checks import require, require_at_least, require_between, require_positive
 from skewmi.train.density import kernel_log_density
 from skewmi.train.exploration.goal_plan import GoalSource, plan_goals
 from skewmi.train.exploration.protocol import ExplorationConfig
@@ -63,16 +63,29 @@ class SkewedGoalsConfig(ExplorationConfig):
     """Growth of that probability per rewarded episode."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         allowed = ("history", "density")
         require(
             self.candidates_from in allowed,
             f"candidates_from is {self.candidates_from!r}; allowed: {', '.join(allowed)}",
         )
-        require(
-            self.history_bandwidth > 0.0,
-            f"history_bandwidth is {self.history_bandwidth}, needs > 0",
+        require_positive(self, "history_bandwidth")
+        require_at_least(1, self, "history_points", "candidates", "proposals")
+        require_at_least(
+            0,
+            self,
+            "scale_floor",
+            "self_count",
+            "refresh_steps",
+            "first_refresh_steps",
+            "rewarded_goal_per_success",
         )
-        require(self.proposals >= 1, f"proposals is {self.proposals}, needs at least 1")
+        require_between(0.0, 1.0, self, "switch_probability", "rewarded_goal_max")
+        require(
+            all(weight > 0.0 for _, weight in self.field_weights),
+            f"field_weights are {dict(self.field_weights)}, must be positive; a field that hardly "
+            "counts has a small one",
+        )
 
 
 def skew_weights(log_density: Array, exponent: float) -> Array:

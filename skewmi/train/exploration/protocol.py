@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skewmi.policy_io import Array
+from skewmi.train.checks import require_finite
 from skewmi.train.replay import Episodes, Index, Replay
 from skewmi.train.state import State
 
@@ -16,6 +17,9 @@ from skewmi.train.state import State
 @dataclass(frozen=True)
 class ExplorationConfig:
     """The numbers of an exploration; each exploration derives its own."""
+
+    def __post_init__(self) -> None:
+        require_finite(self)
 
 
 class Exploration(Protocol):

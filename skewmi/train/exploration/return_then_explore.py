@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skewmi.policy_io import Array, PolicyLayout
-from skewmi.train.checks import require
+from skewmi.train.checks import require_at_least, require_between, require_positive
 from skewmi.train.exploration.scale import field_columns
 from skewmi.train.exploration.skew_explore import SkewExplore, SkewExploreConfig
 from skewmi.train.replay import Index, Replay
@@ -52,19 +52,10 @@ class ReturnThenExploreConfig(SkewExploreConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name, least in (
-            ("go_steps", 1),
-            ("stall_steps", 0),
-            ("explore_steps", 0),
-            ("nearest_of", 1),
-        ):
-            value = getattr(self, name)
-            require(value >= least, f"{name} is {value}, needs at least {least}")
-        for name in ("arrival_radius", "stall_distance"):
-            require(getattr(self, name) > 0.0, f"{name} is {getattr(self, name)}, needs > 0")
-        for name in ("revisit_probability", "keep_probability"):
-            value = getattr(self, name)
-            require(0.0 <= value <= 1.0, f"{name} is {value}, needs 0 to 1")
+        require_at_least(1, self, "go_steps", "nearest_of")
+        require_at_least(0, self, "stall_steps", "explore_steps")
+        require_positive(self, "arrival_radius", "stall_distance")
+        require_between(0.0, 1.0, self, "revisit_probability", "keep_probability")
 
 
 class Excursions:

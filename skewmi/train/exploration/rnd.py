@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from skewmi.policy_io import Array, PolicyLayout
-from skewmi.train.checks import require
+from skewmi.train.checks import require, require_at_least, require_positive
 from skewmi.train.exploration.protocol import ExplorationConfig
 from skewmi.train.replay import Episodes, Index, Replay
 from skewmi.train.return_scale import ReturnScale
@@ -61,15 +61,15 @@ class RndConfig(ExplorationConfig):
     """Of that sum, per control step."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         sizes = (*self.target, *self.predictor, self.features, self.batch_size)
         require(
             min(sizes) >= 1 and len(self.predictor) > 0,
             f"target {self.target}, predictor {self.predictor}, features {self.features} and "
             f"batch_size {self.batch_size} need at least 1 each",
         )
-        require(self.epochs >= 0, f"epochs is {self.epochs}, needs at least 0")
-        for name in ("learning_rate", "state_clip"):
-            require(getattr(self, name) > 0.0, f"{name} is {getattr(self, name)}, needs > 0")
+        require_at_least(0, self, "epochs")
+        require_positive(self, "learning_rate", "state_clip")
         require(
             0.0 <= self.bonus_discount < 1.0,
             f"bonus_discount is {self.bonus_discount}, needs 0 <= it < 1",

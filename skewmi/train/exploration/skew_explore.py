@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skewmi.policy_io import Array, PolicyLayout
-from skewmi.train.checks import require
+from skewmi.train.checks import require, require_positive
 from skewmi.train.density import gaussian_log_density, trajectory_log_density
 from skewmi.train.exploration.goal_exploration import GoalExploration
 from skewmi.train.exploration.goals import SkewedGoalsConfig
@@ -52,8 +52,7 @@ class SkewExploreConfig(SkewedGoalsConfig):
             self.trajectory_density in allowed,
             f"trajectory_density is {self.trajectory_density!r}; allowed: {', '.join(allowed)}",
         )
-        for name in ("sigma", "trajectory_bandwidth"):
-            require(getattr(self, name) > 0.0, f"{name} is {getattr(self, name)}, needs > 0")
+        require_positive(self, "sigma", "trajectory_bandwidth")
 
 
 def clipped(log_density: Array, low: float | None) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from skewmi.train.checks import require
+from skewmi.train.checks import require, require_at_least, require_between, require_positive
 from skewmi.train.learner import LearnerConfig
 
 
@@ -52,26 +52,17 @@ class PpoConfig(LearnerConfig):
     """Divide rewards by the running standard deviation of their discounted sum."""
 
     def __post_init__(self) -> None:
-        require(self.memory >= 0, f"memory is {self.memory}, needs at least 0")
+        super().__post_init__()
+        require_at_least(0, self, "memory", "value_weight")
         require(
             all(units > 0 for units in self.heads), f"heads are {self.heads}, need positive units"
         )
-        for name in ("steps_per_update", "epochs", "minibatches"):
-            value = getattr(self, name)
-            require(value >= 1, f"{name} is {value}, needs at least 1")
+        require_at_least(1, self, "steps_per_update", "epochs", "minibatches")
         length = self.sequence_length
         require(
             length is None or length >= 1,
             f"sequence_length is {length}, needs at least 1, or none for whole episodes",
         )
         require(0.0 < self.discount < 1.0, f"discount is {self.discount}, needs 0 < it < 1")
-        require(
-            0.0 <= self.trace_decay <= 1.0,
-            f"trace_decay is {self.trace_decay}, must lie in [0, 1]",
-        )
-        bounds = (self.clip, self.max_gradient_norm, self.learning_rate, self.value_clip)
-        require(
-            all(bound is None or bound > 0.0 for bound in bounds),
-            f"clip {self.clip}, max_gradient_norm {self.max_gradient_norm}, learning_rate "
-            f"{self.learning_rate} and value_clip {self.value_clip} must be positive",
-        )
+        require_between(0.0, 1.0, self, "trace_decay")
+        require_positive(self, "clip", "max_gradient_norm", "learning_rate", "value_clip")

@@ -7,9 +7,12 @@ import copy
 import torch
 from torch import Tensor, nn
 
-from skewmi.policy_io import Array
+from skewmi.errors import CheckpointError
+from skewmi.policy_io import Array, PolicyLayout
 from skewmi.train.inputs import InputNormalizer
+from skewmi.train.ppo.config import PpoConfig
 from skewmi.train.ppo.networks import ActorCritic
+from skewmi.train.state import State
 
 
 class PpoPolicyModule(nn.Module):
@@ -52,3 +55,29 @@ class PpoPolicyModule(nn.Module):
 
     def _action(self, features: Tensor) -> Tensor:
         return torch.clamp(self.head(features), -1.0, 1.0)
+
+
+def policy_of(
+    config: PpoConfig, layout: PolicyLayout, goal: Array, state: State
+) -> PpoPolicyModule:
+    """The policy in a learner's state; optimizer and random stream do not matter to it.
+
+    Args:
+        config: Of the learner.
+        layout: Of the task.
+        goal: In the task's units. Shape (goal_dim,).
+        state: Of `PpoLearner`.
+
+    Raises:
+        CheckpointError: The network's weights are not there, or of another network.
+    """
+    inputs = InputNormalizer(layout, len(goal), normalize=config.normalize_input)
+    with torch.random.fork_rng(devices=[]):
+        network = ActorCritic(
+            inputs.dim, layout.action_dim, config.memory, config.heads, config.initial_log_std
+        )
+    try:
+        network.load_state_dict(state["network"])
+    except (KeyError, RuntimeError) as error:
+        raise CheckpointError(f"the weights do not fit this network: {error}") from error
+    return PpoPolicyModule(network, inputs, goal)

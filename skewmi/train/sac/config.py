@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from skewmi.train.checks import require
+from skewmi.train.checks import require, require_at_least, require_positive
 from skewmi.train.learner import LearnerConfig
 
 
@@ -68,20 +68,25 @@ class SacConfig(LearnerConfig):
     which short runs do better without."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         engines = ("auto", "eager", "compiled", "captured")
         require(self.engine in engines, f"engine is {self.engine!r}; allowed: {', '.join(engines)}")
-        require(self.compile_after >= 1, f"compile_after is {self.compile_after}, needs at least 1")
-        require(len(self.hidden) > 0 and min(self.hidden) > 0, f"hidden layers {self.hidden}")
-        require(self.n_step >= 1, f"n_step is {self.n_step}, needs at least 1")
+        require(
+            len(self.hidden) > 0 and min(self.hidden) >= 1,
+            f"hidden is {self.hidden}, needs at least one layer, and at least 1 unit in each",
+        )
+        require_at_least(1, self, "compile_after", "n_step", "batch_size")
+        require_at_least(0, self, "updates_per_step", "burst_updates_per_step")
+        require_positive(self, "learning_rate", "initial_temperature")
+        require(0.0 < self.polyak <= 1.0, f"polyak is {self.polyak}, needs 0 < it <= 1")
+        require(
+            self.log_std_min <= self.log_std_max,
+            f"log_std_min is {self.log_std_min}, must not be above log_std_max {self.log_std_max}",
+        )
         require(0.0 < self.discount < 1.0, f"discount is {self.discount}, needs 0 < it < 1")
         require(
             0.0 <= self.actor_average < 1.0,
             f"actor_average is {self.actor_average}, needs 0 <= it < 1",
-        )
-        require(self.batch_size >= 1, f"batch_size is {self.batch_size}, needs at least 1")
-        require(
-            self.initial_temperature > 0.0,
-            f"initial_temperature is {self.initial_temperature}, needs to be positive",
         )
         future, proposal = self.future_fraction, self.proposal_fraction
         rewarded, rare = self.rewarded_fraction, self.rare_fraction

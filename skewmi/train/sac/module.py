@@ -7,9 +7,12 @@ import copy
 import torch
 from torch import Tensor, nn
 
-from skewmi.policy_io import Array
+from skewmi.errors import CheckpointError
+from skewmi.policy_io import Array, PolicyLayout
 from skewmi.train.inputs import InputNormalizer
+from skewmi.train.sac.config import SacConfig
 from skewmi.train.sac.networks import Actor
+from skewmi.train.state import State
 
 
 class SacPolicyModule(nn.Module):
@@ -35,3 +38,29 @@ class SacPolicyModule(nn.Module):
         whole = torch.cat((scaled, goal.expand(observation.shape[0], -1)), dim=-1)
         mean: Tensor = self.body(whole)[:, : self.action_dim]
         return torch.tanh(mean)
+
+
+def policy_of(
+    config: SacConfig, layout: PolicyLayout, goal: Array, state: State
+) -> SacPolicyModule:
+    """The policy in a learner's state; engine, optimizers and random stream do not matter to it.
+
+    Args:
+        config: Of the learner.
+        layout: Of the task.
+        goal: In the task's units. Shape (goal_dim,).
+        state: Of `SacLearner`.
+
+    Raises:
+        CheckpointError: The actor's weights are not there, or of another network.
+    """
+    inputs = InputNormalizer(layout, len(goal), normalize=config.normalize_input)
+    bounds = (config.log_std_min, config.log_std_max)
+    with torch.random.fork_rng(devices=[]):
+        actor = Actor(inputs.dim, layout.action_dim, config.hidden, bounds)
+    averaged = config.actor_average > 0.0 and "steady_actor" in state
+    try:
+        actor.load_state_dict(state["steady_actor" if averaged else "actor"])
+    except (KeyError, RuntimeError) as error:
+        raise CheckpointError(f"the weights do not fit this network: {error}") from error
+    return SacPolicyModule(actor, inputs, goal)
