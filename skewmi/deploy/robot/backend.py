@@ -224,7 +224,17 @@ class RobotBackend(Protocol):
         """What the status says of this kind of robot, beyond that of every robot."""
 
     def close(self) -> None:
-        """End; nothing else is called afterwards."""
+        """End, also if it could not be opened; nothing else is called afterwards."""
+
+
+@runtime_checkable
+class SendsAhead(Protocol):
+    """A robot that sends on something else than it is commanded, and remembers it, besides
+    `RobotBackend`."""
+
+    def rest_at(self, q: Array) -> None:
+        """The next command is to rest at `q`, shape (7,), rad, wherever the last one was: what is
+        sent rests there at once, too. The arm is there already, or held off its command."""
 
 
 @runtime_checkable

@@ -132,7 +132,9 @@ class RobotController:
         return True
 
     def fault(self, reason: str) -> None:
-        """The robot cannot go on, for a reason that it tells."""
+        """The robot cannot go on, for a reason that it tells: as at a stop, what has begun is
+        followed to its end, and what has not is dropped."""
+        self._drop_what_has_not_begun()
         self.fire(ServerEvent.FAULT, reason)
 
     def reseed(self, q: Array) -> None:
@@ -205,12 +207,15 @@ class RobotController:
 
     def end(self, event: ServerEvent, reason: str) -> None:
         """Something ends the present motion: it brakes, and at rest nobody commands any more."""
-        self.arm_motion.drop_what_has_not_begun()
-        # A chunk that has been dropped is not one that others must be newer than.
-        self.newest_ns = min(self.newest_ns, self.arm_motion.executed_ns)
+        self._drop_what_has_not_begun()
         self.fire(event, reason)
         if self.state is ServerState.STOPPING and self.at_rest:
             self.fire(ServerEvent.AT_REST, "the plan has ended")
+
+    def _drop_what_has_not_begun(self) -> None:
+        self.arm_motion.drop_what_has_not_begun()
+        # A chunk that has been dropped is not one that others must be newer than.
+        self.newest_ns = min(self.newest_ns, self.arm_motion.executed_ns)
 
     def fire(self, event: ServerEvent, reason: str) -> None:
         """Let an event act. Nobody commands an arm that is disarmed."""

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from skewmi.deploy.robot.backend import BackendFaultError, RobotBackend, RobotState
+from skewmi.deploy.robot.backend import (
+    BackendFaultError,
+    RobotBackend,
+    RobotState,
+    SendsAhead,
+)
 from skewmi.deploy.robot.executor import PlanExecutor
 from skewmi.policy_io import Array
 from skewmi.trajectory import JointPoint
@@ -27,6 +32,7 @@ class PlanFollower:
         self, backend: RobotBackend, start_ns: int = 0, tracking_limit: float = TRACKING_LIMIT
     ) -> None:
         self._backend = backend
+        self._ahead = backend if isinstance(backend, SendsAhead) else None
         self._joints = len(backend.joint_names)
         self._start_ns = start_ns
         self._tracking_limit = tracking_limit
@@ -64,15 +70,21 @@ class PlanFollower:
         """Answer one cycle of the robot.
 
         Raises:
-            BackendFaultError: The arm does not follow, or the robot cannot.
+            BackendFaultError: The arm does not follow, or the robot cannot, or does not tell where
+                it is.
         """
-        first = self.state is None
-        self.state = state
+        first, error = self.state is None, None
         self.executed_ns = self._start_ns + state.time_ns
-        error = None
-        if first or not state.guided:
-            self.plan.rest_at(self.measured, self.executed_ns)
+        if not np.isfinite(state.position[: self._joints]).all():
+            # It is not kept: nothing may be commanded to such a place later.
+            error = "the robot tells a position of the arm that is not finite"
+            if first:
+                raise BackendFaultError(error)
         else:
+            self.state = state
+        if error is None and (first or not state.guided):
+            self._stay_at(self.measured)
+        elif error is None:
             error = self._tracking_error()
         self._commanded = self.plan.at(self.executed_ns)
         self._backend.write(self._commanded)
@@ -81,8 +93,13 @@ class PlanFollower:
 
     def rest_at(self, q: Array) -> None:
         """Forget the plan; from the next cycle on stay at `q`, shape (n_joints,), rad."""
-        self.plan.rest_at(q, self.executed_ns)
+        self._stay_at(q)
         self._commanded = self.plan.at(self.executed_ns)
+
+    def _stay_at(self, q: Array) -> None:
+        self.plan.rest_at(q, self.executed_ns)
+        if self._ahead is not None:
+            self._ahead.rest_at(q)
 
     def drop_what_has_not_begun(self) -> None:
         """A chunk may be due in a while: an arm that rests until then stays where it is."""
@@ -100,9 +117,8 @@ class PlanFollower:
         error = float(np.abs(self.measured - self._commanded.q).max())
         if error <= self._tracking_limit:
             return None
-        if np.isfinite(self.measured).all():
-            # Whatever holds the arm shall not be pulled at, nor the arm snap back once it is free.
-            self.plan.rest_at(self.measured, self.executed_ns)
+        # Whatever holds the arm shall not be pulled at, nor the arm snap back once it is free.
+        self._stay_at(self.measured)
         return (
             f"a joint is {error:.3g} rad from its command; "
             f"at most {self._tracking_limit:g} rad are allowed"

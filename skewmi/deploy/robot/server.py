@@ -135,8 +135,8 @@ class RobotServer:
             TransportError: The robot cannot be reached.
         """
         real_time = not self._backend.lock_step
-        self._backend.open(self._controller.may_advance)
         try:
+            self._backend.open(self._controller.may_advance)
             self._cycle()
             if on_ready is not None:
                 on_ready(self.describe())

@@ -122,7 +122,7 @@ class SpaceChecks:
         """
         beyond = np.maximum(self.limits.position_lower - q, q - self.limits.position_upper)
         k, joint = np.unravel_index(int(beyond.argmax()), beyond.shape)
-        if beyond[k, joint] > 0.0:
+        if not beyond[k, joint] <= 0.0:  # also what is no number
             below = q[k, joint] < self.limits.position_lower[joint]
             bound = self.limits.position_lower if below else self.limits.position_upper
             raise LimitViolationError(
@@ -145,7 +145,7 @@ def limit_check(
     """The limits that the robot server enforces: joints and hand speed always, the box from inside.
 
     A motion that starts outside the box (on the way to the start pose) is only checked for joint
-    limits and hand speed; once the arm is inside, it cannot leave. The room that the checker
+    limits and hand speed until it is inside; then it cannot leave. The room that the checker
     leaves around the box counts as inside: else the way out would lead through it.
 
     Args:
@@ -170,9 +170,20 @@ def limit_check(
     def check(samples: JointTrajectory, present: JointPoint, earlier: Array) -> object:
         # The first sample is where the accepted plan is, or the checker refuses it: their
         # distance, 1e-9 rad at most, is far less than the rounding that is allowed for.
-        start = base.vectors_to_task(forward.begin(samples.q)[0][0])
-        checker = inside if bool(((low <= start) & (start <= high)).all()) else anywhere
-        return checker.check(samples.q, samples.v, samples.a, previous=present, earlier=earlier)
+        place = base.vectors_to_task(forward.begin(samples.q)[0])
+        outside = np.maximum(low - place, place - high)
+        within = outside.max(axis=1) <= 0.0
+        checker = inside if within[0] else anywhere
+        usage = checker.check(samples.q, samples.v, samples.a, previous=present, earlier=earlier)
+        left = outside[np.logical_or.accumulate(within)].max(axis=0, initial=0.0)
+        if left.any():
+            raise LimitViolationError(
+                "distance outside the workspace, m",
+                float(left.max()) + WORKSPACE_TOLERANCE,
+                WORKSPACE_TOLERANCE,
+                f"axis {'xyz'[int(left.argmax())]}",
+            )
+        return usage
 
     return check
 

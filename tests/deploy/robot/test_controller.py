@@ -139,6 +139,58 @@ def test_fault_while_moving_still_follows_the_tail(
     assert robot.controller.state is ServerState.DISARMED
 
 
+@pytest.mark.parametrize("then", ["nothing", "stop", "brake"])
+def test_a_fault_drops_what_has_not_begun(
+    robot: LoneRobot, monkeypatch: pytest.MonkeyPatch, then: str
+) -> None:
+    """A resting arm stays at rest, whatever was accepted for later, and whoever asks for what."""
+    robot.requests.arm(OURS, 0)
+    assert robot.controller.receive(robot.payload(motion_from(robot), 100), OURS, 1, 0)
+    monkeypatch.setattr(robot.backend, "readiness", lambda: "the other arm is not at home")
+    robot.run(1)
+    assert robot.controller.state is ServerState.FAULT
+    if then == "stop":
+        robot.requests.stop("test")
+        assert robot.controller.state is ServerState.DISARMED
+    if then == "brake":
+        robot.requests.brake("test")
+    robot.run(300)
+    assert np.ptp([t.q for t in robot.targets], axis=0).max() == 0.0
+    assert robot.controller.at_rest
+
+
+@pytest.mark.parametrize("moving", [True, False])
+def test_a_position_that_is_not_finite_is_a_fault_and_never_commanded(
+    robot: LoneRobot, monkeypatch: pytest.MonkeyPatch, moving: bool
+) -> None:
+    if moving:
+        start_moving(robot)
+        robot.run(9)
+    read = robot.backend.read
+
+    def unread() -> RobotState | None:
+        state = read()
+        if state is not None:
+            state.position[2] = np.nan
+        return state
+
+    monkeypatch.setattr(robot.backend, "read", unread)
+    robot.run(80)
+    assert robot.controller.state is ServerState.FAULT
+    assert "not finite" in robot.controller.machine.reason
+    robot.requests.stop("test")
+    robot.run(5)
+    assert robot.controller.state is ServerState.FAULT, "it still does not tell where it is"
+    monkeypatch.undo()
+    robot.requests.stop("test")
+    robot.run(5)
+    assert robot.controller.state is ServerState.DISARMED
+    targets = np.array([t.q for t in robot.targets])
+    assert np.isfinite(targets).all()
+    if not moving:
+        assert np.ptp(targets, axis=0).max() < 0.01
+
+
 def test_an_arm_that_is_held_off_its_command_is_not_pulled_at(
     robot: LoneRobot, simulation: ArmSimulation
 ) -> None:

@@ -19,6 +19,7 @@ from skewmi.deploy.robot.run import serve_robot
 from skewmi.deploy.run import run_deploy
 from skewmi.deploy.wire import topics
 from skewmi.deploy.wire.transport import TransportConfig
+from skewmi.errors import TransportError
 from skewmi.robot_models import limits as joint_limits
 
 
@@ -36,6 +37,26 @@ def test_only_the_commander_disarms(lock_step_robot: str) -> None:
     assert call(lock_step_robot, topics.YUMI_ARM)[0]
     assert not call(lock_step_robot, topics.YUMI_DISARM, bytes(16))[0]
     assert call(lock_step_robot, topics.YUMI_STOP)[0]
+
+
+def test_a_robot_that_cannot_be_opened_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Or its gripper's thread goes on talking, and its sockets stay bound."""
+    closed = []
+
+    class Unreachable(mujoco_backend.MujocoBackend):
+        def open(self, may_advance: object) -> None:
+            raise TransportError("no robot at this address")
+
+        def close(self) -> None:
+            closed.append(self)
+            super().close()
+
+    monkeypatch.setattr(mujoco_backend, "MujocoBackend", Unreachable)
+    config = TransportConfig.for_robot(f"tcp/127.0.0.1:{free_port()}", lock_step=True)
+    options, lab = BackendOptions(lock_step=True), joint_limits.profile("lab")
+    with pytest.raises(TransportError, match="no robot at this address"):
+        serve_robot("sim", options, config, lab, threading.Event())
+    assert len(closed) == 1
 
 
 @pytest.mark.parametrize("lock_step", [True, False])

@@ -102,7 +102,11 @@ class HoldBackend:
 
     def write(self, command: JointPoint) -> None:
         """Hold this once its delay is over, from the next cycle on at the earliest."""
-        self._underway.append((self._time_ns + self._delay_ns, command))
+        due_ns = self._time_ns + self._delay_ns
+        if self._underway and self._underway[-1][0] == due_ns:
+            # In lock-step a cycle comes again until something is to be done.
+            self._underway.pop()
+        self._underway.append((due_ns, command))
 
     def activate(self) -> None:
         """It is always active."""

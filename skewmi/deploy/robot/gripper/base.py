@@ -25,6 +25,10 @@ class Gripper(Protocol):
             CommandRefusedError: Not an opening, or not now; the message says why.
         """
 
+    def forget(self) -> None:
+        """Whoever asked for an opening commands the arm no longer: what the gripper has not been
+        told yet is not told it any more."""
+
     def close(self) -> None:
         """End; the fingers stay where they are."""
 

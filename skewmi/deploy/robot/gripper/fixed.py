@@ -43,5 +43,8 @@ class FixedGripper:
                 f"{1e3 * opening:g} mm; a policy that moves them needs another --gripper"
             )
 
+    def forget(self) -> None:
+        """Nothing is ever told."""
+
     def close(self) -> None:
         """Nothing is left."""

@@ -23,6 +23,9 @@ TARGET, STATE = "skewmi_target", "skewmi_state"
 
 PERIOD_S = 0.1
 """Between two looks at the gripper: RWS is not made for more."""
+TOLD_WITHIN_S = 0.5
+"""A target that cannot be told so long is given up: fingers must not close on their own when a
+cable is plugged in again."""
 SILENT_S = 2.0
 """A gripper that has not been heard of for so long is not there."""
 
@@ -72,7 +75,9 @@ class RwsGripper:
         self._client = client
         self._opening = opening
         self._lock = threading.Lock()
-        self._target: float | None = None
+        self._target: tuple[float, float] | None = None
+        """The newest one that has not been told, m, and until when it may be, s."""
+        self._forgets = 0
         self._state: GripperState | None = None
         self._trouble = "the gripper has not answered yet"
         self._beat_s = time.monotonic()
@@ -121,8 +126,14 @@ class RwsGripper:
         if problem is not None:
             raise CommandRefusedError(problem)
         with self._lock:
-            self._target = opening
+            self._target = (opening, time.monotonic() + TOLD_WITHIN_S)
         self._woken.set()
+
+    def forget(self) -> None:
+        """See `Gripper`."""
+        with self._lock:
+            self._target = None
+            self._forgets += 1
 
     def close(self) -> None:
         """End the thread; the fingers stay where they are."""
@@ -151,13 +162,15 @@ class RwsGripper:
     def _talk(self) -> None:
         with self._lock:
             target, self._target = self._target, None
-        if target is not None:
+            forgets = self._forgets
+        if target is not None and time.monotonic() < target[1]:
             try:
-                self._client.write_symbol(TASK, MODULE, TARGET, f"{1e3 * target:.2f}")
+                self._client.write_symbol(TASK, MODULE, TARGET, f"{1e3 * target[0]:.2f}")
             except TransportError:
                 with self._lock:
-                    # Once more, unless there is a newer one by then.
-                    self._target = target if self._target is None else self._target
+                    # Once more, unless there is a newer one by then, or nobody wants it any more.
+                    if self._target is None and self._forgets == forgets:
+                        self._target = target
                 raise
         state = GripperState.parse(self._client.read_symbol(TASK, MODULE, STATE))
         with self._lock:

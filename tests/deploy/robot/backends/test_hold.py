@@ -14,7 +14,7 @@ from skewmi.deploy.robot.backends.hold import HoldBackend
 from skewmi.errors import ConfigurationError, NotFoundError
 from skewmi.robot_models import limits as joint_limits
 from skewmi.robot_models import yumi
-from skewmi.trajectory import CYCLE_NS, GRID_NS
+from skewmi.trajectory import CYCLE_NS, GRID_NS, JointPoint
 
 LAB = joint_limits.profile("lab")
 HOME = np.array(yumi.HOME["right"])
@@ -24,6 +24,16 @@ OURS = b"a" * 16
 
 def holding(period_ns: int = GRID_NS, delay_s: float = 0.0) -> HoldBackend:
     return HoldBackend(HOME, delay_s=delay_s, lock_step=True, period_ns=period_ns)
+
+
+def test_waiting_in_lock_step_takes_no_memory() -> None:
+    robot = holding(delay_s=0.1)
+    robot.open(lambda: False)
+    assert robot.read() is not None
+    for _ in range(50):
+        # Time stands still: the same cycle is answered again.
+        robot.write(JointPoint(AWAY, np.zeros(7), np.zeros(7)))
+    assert len(robot._underway) == 1
 
 
 # The clock is the robot's.

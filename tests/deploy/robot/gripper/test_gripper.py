@@ -75,6 +75,46 @@ def test_symbols_are_read_and_written_with_one_session(server: RwsServer) -> Non
     assert server.sessions == 1
 
 
+@pytest.mark.parametrize("how", ["too late", "forgotten"])
+def test_a_target_that_could_not_be_told_is_not_told_much_later(
+    server: RwsServer, monkeypatch: pytest.MonkeyPatch, how: str
+) -> None:
+    """Nobody is there any more who wanted the fingers to close when a cable is plugged in again."""
+    monkeypatch.setattr(rws, "TOLD_WITHIN_S", 0.3 if how == "too late" else 60.0)
+    client = RwsClient(server.url, timeout_s=5.0)
+    broken = threading.Event()
+    write = client.write_symbol
+    tried = []
+
+    def write_symbol(*arguments: str) -> None:
+        tried.append(arguments)
+        if broken.is_set():
+            raise TransportError("the cable is out")
+        write(*arguments)
+
+    monkeypatch.setattr(client, "write_symbol", write_symbol)
+    with RapidTask(server):
+        gripper = RwsGripper.open(client, 0.010)
+        try:
+            until(lambda: gripper.problem() is None)
+            broken.set()
+            gripper.open_to(0.0)
+            until(lambda: len(tried) >= 2)
+            if how == "too late":
+                time.sleep(0.5)
+            else:
+                gripper.forget()
+            said = len(tried)
+            broken.clear()
+            time.sleep(0.5)
+            assert len(tried) <= said + 1
+            assert server.writes == []
+            gripper.open_to(0.005)
+            until(lambda: server.writes == [(TARGET_PATH, "5.00")])
+        finally:
+            gripper.close()
+
+
 def test_a_wrong_password_is_told(server: RwsServer) -> None:
     with pytest.raises(TransportError, match="401"):
         RwsClient(server.url, password="wrong").read_symbol(TASK, MODULE, STATE)

@@ -42,7 +42,8 @@ _LEFT_NAMES = yumi.joint_names("left")
 
 
 class EgmBackend:
-    """A YuMi behind ABB's EGM; satisfies `RobotBackend`. It controls the right arm.
+    """A YuMi behind ABB's EGM; satisfies `RobotBackend`, `GuidedByEgm` and `SendsAhead`. It
+    controls the right arm.
 
     Args:
         options: Of the bridge.
@@ -81,6 +82,8 @@ class EgmBackend:
         self.left: LeftArm | None = None
         if scene is not None:
             scene.on_reset = self._expect_session
+        self._begun = ""
+        """Why a session has begun since the cycle before."""
         self._speed = SpeedEstimate()
         self._poll = select.poll()
 
@@ -113,7 +116,7 @@ class EgmBackend:
         """What is missing before the arm can be commanded, in the order of what has to be done."""
         if self.right is None:
             return "the bridge is not open"
-        missing = self.right.readiness()
+        missing = self.right.readiness() or self._begun or None
         if missing is None and self.left is not None:
             missing = self.left.misplaced()
         return missing
@@ -152,7 +155,8 @@ class EgmBackend:
         assert self.right is not None
         if self.right.watch.state in _FOLLOWS:
             share = self.options.feed_forward
-            q, v = self._sent(command)
+            ahead = self._leading
+            q, v = (command.q, command.v) if ahead is None else ahead.references(command)
             self.right.answer(q, share * v if share else None)
             self._note_delay(command)
             self.command = command
@@ -165,6 +169,11 @@ class EgmBackend:
             self.delay.forget_way()
         if self.left is not None:
             self.left.serve()
+
+    def rest_at(self, q: Array) -> None:
+        """See `SendsAhead`."""
+        if self._leading is not None:
+            self._leading.start(q)
 
     def egm(self) -> Mapping[str, float]:
         """What the bridge was told of the controller's law, for `RobotDescription.egm`."""
@@ -179,7 +188,10 @@ class EgmBackend:
         """EGM runs already: nothing is to be switched on."""
 
     def deactivate(self) -> None:
-        """EGM goes on: the arm is held by it."""
+        """EGM goes on: the arm is held by it. Fingers that were told to move and have not been
+        told yet stay where they are."""
+        if self.gripper is not None:
+            self.gripper.forget()
 
     def open_gripper(self, opening: float) -> None:
         """Move each finger to `opening` m from closed.
@@ -204,14 +216,6 @@ class EgmBackend:
         if self.gripper is not None:
             self.gripper.close()
 
-    def _sent(self, command: JointPoint) -> tuple[Array, Array]:
-        """References for a point of the plan, rad and rad/s. Each shape (7,)."""
-        if self._leading is None:
-            return command.q, command.v
-        if self.command is None:
-            self._leading.start(command.q)
-        return self._leading.references(command)
-
     def _expect_session(self) -> None:
         assert self.right is not None
         self.right.watch.expect_session("the scene was reset; the program starts again")
@@ -220,6 +224,9 @@ class EgmBackend:
         assert self.right is not None
         watch, q = self.right.watch, taken.packet.q
         self.slips += taken.skipped
+        # A session that begins and ends its ramp in one cycle, after a hold-up, never shows in the
+        # watch's state: who has commanded the arm does not know where it is all the same.
+        self._begun = taken.begins and f"a session has begun ({taken.begins})"
         if taken.begins:
             self._speed.forget()
             self.delay.forget_way()
@@ -236,7 +243,7 @@ class EgmBackend:
             position=q,
             velocity=velocity,
             effort=np.zeros(len(q)),
-            guided=watch.state in _FOLLOWS,
+            guided=watch.state in _FOLLOWS and not taken.begins,
         )
 
     def _note_delay(self, command: JointPoint) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from skewmi.deploy.robot.backends.egm.codec import (
@@ -11,7 +11,7 @@ from skewmi.deploy.robot.backends.egm.codec import (
     decode_feedback,
     encode_reference,
 )
-from skewmi.deploy.robot.backends.egm.link import Datagram, UdpLink
+from skewmi.deploy.robot.backends.egm.link import DRAINED_AT_ONCE, Datagram, UdpLink
 from skewmi.deploy.robot.backends.egm.outgoing import check_reference
 from skewmi.deploy.robot.backends.egm.packets import FeedbackPacket, ReferencePacket
 from skewmi.deploy.robot.backends.egm.session import Received
@@ -24,6 +24,12 @@ from skewmi.trajectory import Array
 _log = logging.getLogger(__name__)
 
 _SEQUENCE_RANGE = 1 << 32
+
+_OLD_NS = 20_000_000
+"""A datagram that has waited so long is of an earlier cycle: five of the controller's."""
+
+_MOST_DRAINS = 5
+"""In one cycle: more than a second of packets, which is as long as their ages are known."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +81,7 @@ class ArmChannel:
     def take(self) -> Taken | None:
         """Take in what has come; None if nothing new has. Notices silence, too."""
         taken: Taken | None = None
-        for datagram in self.link.drain():
+        for datagram in self._waiting():
             received = self._decode(datagram)
             if received is None:
                 continue
@@ -133,6 +139,17 @@ class ArmChannel:
     def readiness(self) -> str | None:
         """What is missing before a motion, in words; None if nothing is."""
         return self.watch.readiness() or self.unsendable
+
+    def _waiting(self) -> Iterator[Datagram]:
+        """What has come. After a hold-up that is more than is taken at once, and the rest of it
+        is no cycle of its own: each answer but one would stay in the controller's queue."""
+        for _ in range(_MOST_DRAINS):
+            datagrams = self.link.drain()
+            yield from datagrams
+            if len(datagrams) < DRAINED_AT_ONCE:
+                return
+            if datagrams[-1].read_ns - datagrams[-1].arrival_ns < _OLD_NS:
+                return
 
     def _decode(self, datagram: Datagram) -> Received | None:
         """The packet in a datagram of the controller; whose it is is looked at first."""

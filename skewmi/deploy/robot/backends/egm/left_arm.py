@@ -9,6 +9,7 @@ import numpy as np
 from skewmi.deploy.robot.backends.egm.channel import ArmChannel
 from skewmi.deploy.robot.backends.egm.motion import SpeedEstimate
 from skewmi.deploy.robot.backends.egm.options import LEFT_ARM_TOLERANCE
+from skewmi.deploy.robot.backends.egm.states import EgmState
 from skewmi.robot_models import yumi
 from skewmi.trajectory import Array
 
@@ -39,17 +40,32 @@ class LeftArm:
         """Answer what has come."""
         taken = self.channel.take()
         if taken is None:
+            if self._lost is not None:
+                self.velocity = np.zeros(7)
             return
         self.channel.hold()
         if taken.begins:
             self._speed.forget()
         self.velocity = self._speed.add(self.channel.watch.clock.time_ns, taken.packet.q)
 
+    @property
+    def _lost(self) -> str | None:
+        """Why it may be elsewhere than where it was last seen; None if it may not."""
+        watch = self.channel.watch
+        silent = watch.packet is not None and watch.state in (EgmState.SILENT, EgmState.REFUSED)
+        return watch.readiness() if silent else None
+
     def misplaced(self) -> str | None:
         """Why the collision check cannot be trusted; None if it can, or nothing is known."""
-        q = self.position
+        q, lost = self.position, self._lost
         if q is None:
             return None
+        if lost is not None:
+            return (
+                f"the left arm is not heard of any more ({lost}), and the collision check takes it "
+                "to be at home: start its program again, or, with the arm at home, this robot "
+                "server with --egm-listen-left none"
+            )
         off = np.abs(q - PARKED)
         worst = int(np.argmax(off))
         if off[worst] <= LEFT_ARM_TOLERANCE:

@@ -68,6 +68,8 @@ class ControllerWatch:
         self._session_ns = 0.0
         self._overloaded_since_ns: float | None = None
         self._unusable_ns = 0
+        self._expecting = False
+        """Whether packets go on that are of a session that is over."""
 
     @property
     def state(self) -> EgmState:
@@ -86,6 +88,10 @@ class ControllerWatch:
     def note(self, received: Received) -> Noted:
         """Take a packet in; from the controller's address, oldest first."""
         verdict = judge(received, self._newest)
+        gone = self.state in (EgmState.SILENT, EgmState.REFUSED) and not self._expecting
+        if isinstance(verdict, Accepted) and gone and not verdict.begins:
+            # Silence was noticed a moment after this packet had come, which says of none.
+            verdict = Accepted(verdict.ticks, "packets come again")
         if isinstance(verdict, Ignored):
             if received.packet.clock_us is None:
                 self.note_unusable(verdict.why, received.arrival_ns)
@@ -113,6 +119,7 @@ class ControllerWatch:
             self.clock.begin(packet.clock_us, elapsed_ns)
             self.statistics = LinkStatistics(packets=1)
             self._session_ns = self.clock.time_ns
+            self._expecting = False
             self._overloaded_since_ns = None
         else:
             assert before is not None
@@ -167,6 +174,7 @@ class ControllerWatch:
 
     def expect_session(self, reason: str) -> None:
         """The present session is over, whatever its last packets say; a new one is to begin."""
+        self._expecting = True
         self._fire(EgmEvent.SILENCE, reason)
 
     def readiness(self) -> str | None:

@@ -16,6 +16,7 @@ from skewmi.deploy.robot.gripper.base import check_opening
 from skewmi.deploy.robot.pace import Beat, Pace, make_pace
 from skewmi.deploy.wire.simulation_status import SCENE_POSES
 from skewmi.errors import ConfigurationError
+from skewmi.policy_io import Array
 from skewmi.robot_models import yumi
 from skewmi.trajectory import GRID_NS, JointPoint
 
@@ -23,8 +24,8 @@ _log = logging.getLogger(__name__)
 
 
 class MujocoBackend:
-    """Arm and gripper of a simulation; satisfies `RobotBackend`, `LinkVaries` and
-    `TellsContact`.
+    """Arm and gripper of a simulation; satisfies `RobotBackend`, `LinkVaries`,
+    `SendsAhead` and `TellsContact`.
 
     Args:
         simulation: Of a task; the nominal one of the registry's default task if not given.
@@ -96,6 +97,10 @@ class MujocoBackend:
         fault, self._fault = self._fault, None
         if fault is not None:
             raise fault
+
+    def rest_at(self, q: Array) -> None:
+        """See `SendsAhead`."""
+        self.simulation.rest_at(q)
 
     def activate(self) -> None:
         """The servos are always on."""

@@ -134,6 +134,11 @@ class ArmSimulation:
             position = position + self._errors[1][0]
         return SceneState(scene.task.joint_names, position, data.qvel[scene.scene_dof])
 
+    def rest_at(self, q: Array) -> None:
+        """The command steps to `q`, shape (7,), rad, and rests: feed-forward begins there anew."""
+        if self._feed_forward is not None:
+            self._feed_forward.start(q)
+
     def step(self) -> None:
         """Follow the servo target `command.q`, with feed-forward from `command.v`, for 4 ms.
 
@@ -228,8 +233,7 @@ class ArmSimulation:
         """Let the present controls be all that is on its way to the servos, and stay at `q`."""
         self.command = JointPoint(np.array(q), _REST, _REST)
         """What the servos follow in the next step."""
-        if self._feed_forward is not None:
-            self._feed_forward.start(q)
+        self.rest_at(q)
         self._finger_target = float(self._data.ctrl[self.scene.finger_ctrl])
         self._drive = Drive(self._sample, self._data.ctrl, self.scene.arm_ctrl)
 

@@ -72,6 +72,37 @@ def test_a_restart_in_motion_starts_from_feedback_and_needs_a_new_arming(
         bench.requests.arm(OURS, bench.now_ns)
 
 
+@pytest.mark.parametrize("held_up_s", [0.15, 0.2, 0.25])
+def test_a_hold_up_that_is_longer_than_the_ramp_is_a_fault_in_motion(
+    bench: Bench, held_up_s: float
+) -> None:
+    """The session begins and is over its ramp within one look at the socket; nothing is jumped."""
+    bench.moving(size=0.3)
+    before = bench.run(1)[-1]
+    for _ in range(round(held_up_s / 0.004032)):
+        bench.pass_time(0.004032)
+        bench.controller.send()
+    answers = bench.serve()
+    assert bench.robot.state is ServerState.FAULT
+    assert "a session has begun" in bench.robot.machine.reason
+    assert len(answers) == 1, "a second one would stay in the controller's queue"
+    assert answers[0].chain() == pytest.approx(before.chain(), abs=1e-6)
+    assert bench.run(3, follow=False)[-1].chain() == pytest.approx(before.chain(), abs=1e-6)
+    bench.requests.stop("test")
+    bench.requests.arm(OURS, bench.now_ns)
+
+
+def test_a_hold_up_at_rest_takes_the_arm_from_its_commander(bench: Bench) -> None:
+    bench.armed()
+    for _ in range(75):
+        bench.pass_time(0.004032)
+        bench.controller.send()
+    bench.serve()
+    assert bench.robot.state is ServerState.DISARMED
+    bench.run(2)
+    bench.requests.arm(OURS, bench.now_ns)
+
+
 @pytest.mark.parametrize("silent_s", [0.004, 0.02, 0.05, 0.09])
 def test_short_silences_are_none(bench: Bench, silent_s: float) -> None:
     bench.moving(size=0.2)

@@ -12,7 +12,8 @@ from egm_controller import HandController
 from egm_wire import MCI_STOPPED, MOTORS_OFF, RAPID_STOPPED
 
 from skewmi.deploy.robot.backends.egm.channel import ArmChannel
-from skewmi.deploy.robot.backends.egm.link import UdpLink
+from skewmi.deploy.robot.backends.egm.link import DRAINED_AT_ONCE, UdpLink
+from skewmi.deploy.robot.backends.egm.session import GAP_NS
 from skewmi.deploy.robot.backends.egm.states import EgmState
 
 HOME_CHAIN = [0.0, -130.0, -135.0, 30.0, 0.0, 40.0, 0.0]
@@ -55,6 +56,49 @@ def test_only_the_newest_of_a_burst_is_answered(
     channel.hold()
     assert len(controller.collect(1.0)) == 1
     assert channel.watch.statistics.missed == 0
+
+
+def test_after_a_hold_up_there_is_one_answer_however_much_has_come(
+    channel: ArmChannel, controller: Controller
+) -> None:
+    guided(channel, controller)
+    for _ in range(3 * DRAINED_AT_ONCE + 10):
+        controller.send()
+    time.sleep(0.05)
+    for _ in range(5):
+        channel.link.wait(20_000_000)
+        if channel.take() is not None:
+            channel.hold()
+    assert len(controller.collect(0.2)) == 1
+
+
+def test_a_packet_that_comes_as_silence_is_noticed_begins_a_session(
+    channel: ArmChannel, controller: Controller
+) -> None:
+    """It is of no silence by its own time: nothing else would ever end this one."""
+    guided(channel, controller)
+    channel.watch.note_time(channel.link.now_ns() + GAP_NS)
+    assert channel.watch.state is EgmState.SILENT
+    controller.packet.axes = (20.0, *controller.packet.axes[1:])
+    controller.send()
+    taken = take(channel)
+    assert taken is not None
+    assert taken.begins == "packets come again"
+    channel.hold()
+    assert controller.collect(1.0)[-1].axes[0] == pytest.approx(20.0)
+    assert channel.watch.state is EgmState.RAMPING
+
+
+def test_packets_of_a_session_that_is_known_to_be_over_begin_none(
+    channel: ArmChannel, controller: Controller
+) -> None:
+    guided(channel, controller)
+    channel.watch.expect_session("the scene was reset")
+    controller.send()
+    taken = take(channel)
+    assert taken is not None
+    assert not taken.begins
+    assert channel.watch.state is EgmState.SILENT
 
 
 def test_duplicates_and_overtaken_packets_are_not_answered(

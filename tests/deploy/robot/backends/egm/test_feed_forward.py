@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from egm_bench import LAB, Bench, in_degrees
 from egm_wire import MOTORS_OFF
 from unknown_robots import exact_egm_calibration
@@ -10,9 +11,10 @@ from unknown_robots import exact_egm_calibration
 from skewmi.calibration.calibration_use import low_pass_s, servo_constants
 from skewmi.deploy.robot.backends.egm.leading import LeadingReferences
 from skewmi.deploy.robot.backends.egm.telling import runs_on
+from skewmi.deploy.robot.states import ServerState
 from skewmi.robot_models.feed_forward import FeedForward
 from skewmi.robot_models.kinematics import ArmKinematics
-from skewmi.trajectory import GRID_S, Array
+from skewmi.trajectory import GRID_NS, GRID_S, Array
 
 
 def law() -> LeadingReferences:
@@ -47,6 +49,27 @@ def test_references_run_ahead_of_the_plan_and_come_to_it() -> None:
     for order, bound in enumerate((LAB.velocity, LAB.acceleration, LAB.jerk), 1):
         found = np.abs(np.diff(np.radians(sent), n=order, axis=0)) / GRID_S**order
         assert np.all(found <= bound * (1.0 + 1e-6))
+
+
+@pytest.mark.parametrize("after", range(0, 60, 7))
+def test_an_arm_that_is_held_is_not_pulled_at_by_what_runs_ahead(after: int) -> None:
+    """The plan steps to where it is held; so does what is sent, at once and for good."""
+    with Bench(leading=law()) as bench:
+        bench.armed()
+        start = np.array(bench.robot.arm_motion.commanded_position())
+        goal = start + 0.9 * (np.arange(7) == 4)
+        # Longer than a chunk may be, so it is put where accepted ones go.
+        robot, motion = bench.robot.arm_motion, bench.motion(start, goal).trajectory
+        stamp_ns = robot.executed_ns - robot.executed_ns % GRID_NS + 3 * GRID_NS
+        robot.plan.splice(stamp_ns, motion, robot.executed_ns)
+        bench.run(after)
+        while bench.robot.state is not ServerState.FAULT:
+            bench.run(1, follow=False)
+        assert "from its command" in bench.robot.machine.reason
+        held = np.degrees(robot.measured)
+        bench.requests.stop("test")
+        for answer in bench.run(50, follow=False):
+            np.testing.assert_allclose(answer.chain(), held, atol=1e-6)
 
 
 def test_an_arm_that_was_not_guided_begins_at_rest() -> None:

@@ -11,6 +11,7 @@ from egm_controller import HandController
 from egm_wire import Reference
 
 from skewmi.deploy.robot.backends.egm.options import EgmOptions
+from skewmi.deploy.robot.states import ServerState
 from skewmi.errors import CommandRefusedError
 from skewmi.robot_models import yumi
 
@@ -73,6 +74,27 @@ class TestLeftArm:
             bench.requests.arm(OURS, bench.now_ns)
         left.packet.axes = self.HOME
         self.run(both, 5)
+        bench.requests.arm(OURS, bench.now_ns)
+
+    def test_one_that_is_not_heard_of_any_more_may_be_anywhere(
+        self, both: tuple[Bench, HandController]
+    ) -> None:
+        bench, left = both
+        self.run(both, RAMP_CYCLES)
+        for step in range(20):
+            left.packet.axes = (0.05 * step, *self.HOME[1:])
+            self.run(both, 1)
+        bench.requests.arm(OURS, bench.now_ns)
+        bench.run(40)
+        assert bench.robot.state is ServerState.DISARMED
+        assert "left arm is not heard of any more" in bench.robot.machine.reason
+        with pytest.raises(CommandRefusedError, match="start its program again"):
+            bench.requests.arm(OURS, bench.now_ns)
+        state = bench.robot.arm_motion.state
+        assert state is not None
+        assert not state.velocity[8:].any(), "an old speed is not one of now"
+        left.restart()
+        self.run(both, RAMP_CYCLES)
         bench.requests.arm(OURS, bench.now_ns)
 
     def test_one_that_was_never_heard_of_is_told(self, both: tuple[Bench, HandController]) -> None:
