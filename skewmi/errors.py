@@ -57,6 +57,7 @@ class LimitViolationError(SkewmiError):
         self.limit = limit
         self.value = value
         self.bound = bound
+        self.detail = detail
         message = f"{limit}: {value:.6g} is outside the bound {bound:.6g}"
         super().__init__(f"{message} ({detail})" if detail else message)
 

@@ -39,14 +39,22 @@ _ROUNDING = 1e-6
 class ChunkChecks:
     """Limit checker and guard, with or without the workspace box.
 
+    On the way to a start the arm stays clear of the scene if it comes from beside the box
+    (`begin_way`). Inside it is meant to touch things, there as in an episode.
+
     Args:
         limits: Of the joints.
         workspace: The task's box.
         flange_speed: That the robot admits, m/s.
+        obstacles: What stands before the robot.
     """
 
     def __init__(
-        self, limits: JointLimits, workspace: Workspace, flange_speed: float = TCP_SPEED_LIMIT
+        self,
+        limits: JointLimits,
+        workspace: Workspace,
+        flange_speed: float = TCP_SPEED_LIMIT,
+        obstacles: Sequence[Obstacle] = (),
     ) -> None:
         forward = ArmKinematics("right").forward
         speed = min(flange_speed, TCP_SPEED_LIMIT)
@@ -57,8 +65,29 @@ class ChunkChecks:
                 Guard(limits, workspace),
             ),
         }
+        self._open_guard = self._checkers[False][1]
+        self._clear_guard = Guard(limits, None, obstacles=obstacles)
+        self._workspace = workspace
         self.boxed = False
         """Whether the hand has to stay in the box; not on the way to the start."""
+
+    def begin_way(self, q: Array) -> None:
+        """A way to a start begins; it keeps clear of the scene unless it begins inside the box.
+
+        Where the arm stands too near something it may leave, but come no nearer
+        (`ClearanceCheck.permit_leaving`).
+
+        Args:
+            q: Where the arm rests, rad. Shape (7,).
+        """
+        low, high, base = box_from_base(self._workspace)
+        place = base.vectors_to_task(self._open_guard.tool(q)[0])
+        outside = float(np.maximum(low - place, place - high).max())
+        guard = self._open_guard
+        if outside > WORKSPACE_TOLERANCE:
+            guard = self._clear_guard
+            guard.clearance.permit_leaving(q)
+        self._checkers[False] = (self._checkers[False][0], guard)
 
     @property
     def stages(self) -> Sequence[tuple[str, Check]]:

@@ -20,6 +20,7 @@ from skewmi.deploy.session.observer import Observer
 from skewmi.deploy.session.readiness import wait_until_ready
 from skewmi.deploy.session.robot_client import RobotClient
 from skewmi.deploy.session.status import SessionStatus
+from skewmi.errors import LimitViolationError
 from skewmi.policy_io import Array, PolicyLayout, Workspace
 from skewmi.robot_models.base_frame import BaseFrame
 from skewmi.robot_models.frames import rotation_from_quaternion
@@ -119,6 +120,7 @@ class Preflight:
         self._robot.open_gripper(self._workspace.gripper_opening, description.clock_ns)
         q = np.array(description.commanded_position)
         q_goal = draw_start(self._workspace, seed, self._options.start_spread, q)
+        self._checks.begin_way(q)
         check_way(q, q_goal, self._limits, self._checks)
         # Checking takes a while: what was fresh before is not any more.
         state = self._observer.fresh_state()
@@ -182,7 +184,7 @@ def check_way(q: Array, q_goal: Array, limits: JointLimits, checks: ChunkChecks)
 
     Raises:
         LimitViolationError: An end is outside the position limits, or the way leads through the
-            arm, body or table or asks for too much torque.
+            arm, body, table or scene or asks for too much torque.
     """
     motion = StartMotion(q, q_goal, limits).trajectory
     rest = np.zeros(7)
@@ -191,4 +193,12 @@ def check_way(q: Array, q_goal: Array, limits: JointLimits, checks: ChunkChecks)
     guard = dict(checks.stages)["guard"]
     for first in range(0, len(motion), _WAY_SAMPLES):
         start = JointPoint(motion.q[first], rest, rest)
-        guard(motion.part(slice(first, first + _WAY_SAMPLES + 1)), start, start.q[None])
+        try:
+            guard(motion.part(slice(first, first + _WAY_SAMPLES + 1)), start, start.q[None])
+        except LimitViolationError as error:
+            if "clearance" not in error.limit:
+                raise
+            raise LimitViolationError(
+                f"the way to the start is not free, {error.limit}", error.value, error.bound,
+                f"{error.detail}; skewmi home may find another one",
+            ) from error  # fmt: skip

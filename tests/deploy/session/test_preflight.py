@@ -9,17 +9,23 @@ import pytest
 from moved_boxes import ORIGIN, Displacement, hand_by_mujoco
 
 from skewmi.box_frame import placed
+from skewmi.deploy.motion.start_motion import StartMotion
+from skewmi.deploy.robot.backends.mujoco.scene_geometry import scene_geometry
 from skewmi.deploy.safety.checks import ChunkChecks
 from skewmi.deploy.safety.guard import Guard
+from skewmi.deploy.safety.obstacles import scene_obstacles
 from skewmi.deploy.session.preflight import check_way, draw_start
 from skewmi.errors import (
     LimitViolationError,
 )
+from skewmi.policy_io import Workspace
 from skewmi.robot_models import limits as joint_limits
 from skewmi.robot_models import yumi
-from skewmi.robot_models.base_frame import BoxPose
+from skewmi.robot_models.base_frame import BaseFrame, BoxPose
 from skewmi.robot_models.frames import HAND_DOWN
 from skewmi.robot_models.kinematics import ArmKinematics
+from skewmi.sim import tasks
+from skewmi.sim.arm.scene import ArmScene
 from skewmi.sim.tasks.open_press_close.definition import make_layout
 
 LAB = joint_limits.profile("lab")
@@ -71,3 +77,76 @@ def test_whole_way_to_the_start_is_checked_before_anything_moves() -> None:
         guard.check(np.tile(end, (6, 1)), np.zeros((6, 7)), np.zeros((6, 7)))
     with pytest.raises(LimitViolationError, match="clearance"):
         check_way(*map(np.array, ends), LAB, checks)
+
+
+BESIDE = {
+    # The hand stands beside the box, clear of it, as after a touch that was stopped.
+    "open_press_close": [1.8236, -0.2399, -2.6736, 0.3628, -2.3459, 0.1352, 0.3113],
+    "door_open": [1.682, -1.3442, -2.3147, 0.9561, -2.9891, 1.6459, 3.4927],
+}
+
+
+def before_the_scene(task: str, known: bool = True) -> tuple[Workspace, ChunkChecks]:
+    layout, arm = tasks.layout(task), tasks.find(task).arm
+    assert layout.workspace is not None
+    assert arm is not None
+    parts = scene_geometry(ArmScene(arm).model).parts
+    return layout.workspace, ChunkChecks(
+        LAB, layout.workspace, obstacles=scene_obstacles(parts) if known else ()
+    )
+
+
+@pytest.mark.parametrize("task", sorted(BESIDE))
+def test_a_way_from_beside_the_box_keeps_clear_of_the_scene(task: str) -> None:
+    q = np.array(BESIDE[task])
+    workspace, checks = before_the_scene(task)
+    q_goal = draw_start(workspace, 1, 0.0, q)
+    checks.begin_way(q)
+    with pytest.raises(LimitViolationError, match=r"to scene.*skewmi home"):
+        check_way(q, q_goal, LAB, checks)
+    # Every chunk that leads there is refused, too, before the arm touches anything.
+    motion = StartMotion(q, q_goal, LAB)
+    guard = dict(checks.stages)["guard"]
+
+    def send() -> None:
+        for cycle in range(motion.cycles):
+            chunk = motion.chunk(cycle)
+            guard(chunk, chunk.point(0), chunk.q[:1])
+
+    with pytest.raises(LimitViolationError, match="to scene"):
+        send()
+    # Nobody tells what stands there: then nothing is known of it.
+    _, blind = before_the_scene(task, known=False)
+    blind.begin_way(q)
+    check_way(q, q_goal, LAB, blind)
+
+
+@pytest.mark.parametrize("task", sorted(BESIDE))
+def test_ways_from_home_and_from_inside_the_box_are_as_free_as_ever(task: str) -> None:
+    """Inside, the hand is where it works: it may touch what it is there for."""
+    workspace, checks = before_the_scene(task)
+    base = BaseFrame.of(workspace)
+    posture = np.array(workspace.start_configuration)
+    rng = np.random.default_rng(3)
+    places = rng.uniform(workspace.low, workspace.high, (10, 3))
+    inside = ArmKinematics("right").inverse(
+        base.to_base(places),
+        np.tile(base.rotations_to_base(HAND_DOWN), (10, 1, 1)),
+        np.tile(posture, (10, 1)),
+        posture=posture,
+        max_iterations=50,
+    )
+    for q in (np.array(yumi.TABLE_CONFIGURATION), posture, *inside.q):
+        checks.begin_way(q)
+        check_way(q, draw_start(workspace, 0, 0.005, q), LAB, checks)
+
+
+def test_from_beside_the_box_after_an_episode_the_scene_counts_again() -> None:
+    q = np.array(BESIDE["door_open"])
+    workspace, checks = before_the_scene("door_open")
+    checks.begin_way(np.array(workspace.start_configuration))
+    checks.boxed = True
+    checks.boxed = False
+    checks.begin_way(q)
+    with pytest.raises(LimitViolationError, match="clearance"):
+        check_way(q, draw_start(workspace, 1, 0.0, q), LAB, checks)
