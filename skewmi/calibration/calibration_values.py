@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import math
+import sys
 from collections.abc import Mapping, Sequence
 
 from skewmi.errors import ConfigurationError
+from skewmi.yaml_text import shown
 
 
 def mapping_of(value: object, where: str) -> Mapping[str, object]:
     """A mapping whose keys are texts."""
     if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
-        raise ConfigurationError(f"{where} is {_short(value)}; it must map names to values")
+        raise ConfigurationError(f"{where} is {shown(value)}; it must map names to values")
     return value
 
 
@@ -30,7 +31,7 @@ def checked_keys(
     for key in entries:
         if key not in allowed:
             raise ConfigurationError(
-                f"{where} has an unknown key {key!r}; allowed: {', '.join(allowed)}"
+                f"{where} has an unknown key {shown(key)}; allowed: {', '.join(allowed)}"
             )
     for key in required:
         if key not in entries:
@@ -41,21 +42,26 @@ def sequence_of(value: object, where: str, length: int | None = None) -> list[ob
     """A list, of that length."""
     if not isinstance(value, list | tuple) or (length is not None and len(value) != length):
         size = "" if length is None else f" of {length}"
-        raise ConfigurationError(f"{where} is {_short(value)}; it must be a list{size}")
+        raise ConfigurationError(f"{where} is {shown(value)}; it must be a list{size}")
     return list(value)
 
 
 def number_of(value: object, where: str) -> float:
     """A finite number."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ConfigurationError(f"{where} is {_short(value)}; it must be a finite number")
+    # Compared, since math.isfinite fails on a whole number that no float can hold.
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, int | float)
+        or not abs(value) <= sys.float_info.max
+    ):
+        raise ConfigurationError(f"{where} is {shown(value)}; it must be a finite number")
     return float(value)
 
 
 def flag_of(value: object, where: str) -> bool:
     """true or false."""
     if not isinstance(value, bool):
-        raise ConfigurationError(f"{where} is {_short(value)}; it must be true or false")
+        raise ConfigurationError(f"{where} is {shown(value)}; it must be true or false")
     return value
 
 
@@ -63,12 +69,7 @@ def text_of(value: object, where: str) -> str:
     """A text that is not empty."""
     if not isinstance(value, str) or not value.strip():
         raise ConfigurationError(
-            f"{where} is {_short(value)}; it must be a text (in quotes, if it looks like a number "
+            f"{where} is {shown(value)}; it must be a text (in quotes, if it looks like a number "
             "or a date)"
         )
     return value
-
-
-def _short(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 80 else f"{text[:77]}..."

@@ -21,12 +21,20 @@ class ZeroAgent:
         return np.zeros((*np.shape(observation)[:-1], self.layout.action_dim))
 
 
+_STREAM = 3
+"""Of random actions: environments draw starts by the seed alone, learners by it and 1 or 2."""
+
+
 class RandomAgent:
-    """Uniform actions, independent from step to step; satisfies `policy_io.Policy`."""
+    """Uniform actions, independent from step to step; satisfies `policy_io.Policy`.
+
+    Its random stream is its own, so that no action repeats what an environment of the same seed
+    draws its starts by.
+    """
 
     def __init__(self, layout: PolicyLayout, seed: int) -> None:
         self.layout = layout
-        self._generator = np.random.default_rng(seed)
+        self._generator = np.random.default_rng([seed, _STREAM])
 
     def reset(self) -> None:
         """Nothing to forget; the random stream goes on."""

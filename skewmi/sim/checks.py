@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from skewmi.errors import ConfigurationError, NotFoundError
 from skewmi.policy_io import Array
+from skewmi.yaml_text import shown
 
 _T = TypeVar("_T")
 
@@ -36,6 +37,32 @@ def checked_num_threads(num_threads: int) -> int:
             f"num_threads is {num_threads!r}; it must be a whole number from 0 (automatic)"
         )
     return int(num_threads)
+
+
+def checked_switches(**given: object) -> dict[str, bool]:
+    """The values themselves.
+
+    Raises:
+        ConfigurationError: One is neither true nor false; the message names it.
+    """
+    for name, value in given.items():
+        if not isinstance(value, bool | np.bool_):
+            raise ConfigurationError(f"{name} is {shown(value)}; it must be true or false")
+    return {name: bool(value) for name, value in given.items()}
+
+
+def checked_width(value: object, name: str, end: float, unit: str) -> float:
+    """The number itself.
+
+    Raises:
+        ConfigurationError: It is no number, or not in [0, end).
+    """
+    number = isinstance(value, int | float | np.integer | np.floating)
+    if isinstance(value, bool) or not number or not 0.0 <= value < end:  # type: ignore[operator]
+        raise ConfigurationError(
+            f"{name} is {shown(value)}; it must be a number from 0 to less than {end:g} {unit}"
+        )
+    return float(value)  # type: ignore[arg-type]
 
 
 def checked_action(action: ArrayLike, num_envs: int, action_dim: int) -> Array:

@@ -5,6 +5,9 @@ the angle of a door), and a state reaches it when it lies in the reward region
 translated so that the region's centre is the goal. With the default goal, the region's own
 centre, this is exactly the task's sparse reward; with any other goal, such as one that hindsight
 replay puts in, it asks for the same precision elsewhere.
+
+Whether a goal is reached is judged by the state that is handed in. Taken from an observation, that
+is what the sensors say: with a variation that gives them errors, the true scene may be elsewhere.
 """
 
 from __future__ import annotations
@@ -53,7 +56,10 @@ class RegionGoals:
         return len(self.names)
 
     def achieved(self, observation: Array) -> Array:
-        """The goal a state has reached: a copy of its goal fields. Shape (..., goal_dim)."""
+        """The goal a state has reached: a copy of its goal fields. Shape (..., goal_dim).
+
+        Of an observation with errors of the sensors it is the measured one.
+        """
         goal: Array = observation[..., self._columns]  # indexing with a list copies
         return goal
 

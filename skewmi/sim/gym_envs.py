@@ -16,6 +16,8 @@ for another one, for that episode. The reward is `compute_reward(achieved_goal, 
 info)`: 1.0 at every step that ends with the goal reached, else 0.0. Episodes never terminate; they
 are truncated after the layout's `episode_steps`. `info["success"]` says whether the step ended in
 the *task's* reward region, `info["is_success"]` whether it ended with the *desired goal* reached.
+With a variation that gives the sensors errors, `achieved_goal`, reward and `info["is_success"]` are
+of what they say, as `observation` is; `info["success"]` alone is of the true scene.
 """
 
 from __future__ import annotations

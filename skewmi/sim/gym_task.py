@@ -23,7 +23,12 @@ _SEED_END = 2**31
 
 
 class GoalTask:
-    """What the single and the vector environment have in common: one `BatchEnv` with goals."""
+    """What the single and the vector environment have in common: one `BatchEnv` with goals.
+
+    Goals and rewards are of what the observation says, errors of its sensors included, for the
+    reward must be `compute_reward` of the achieved and the desired goal, and an achieved goal of
+    the true scene would tell a policy what no sensor does. `StepResult.success` is of the true one.
+    """
 
     def __init__(
         self,
@@ -98,7 +103,10 @@ class GoalTask:
         return result, observation, reached
 
     def compute_reward(self, achieved_goal: ArrayLike, desired_goal: ArrayLike) -> Any:
-        """1.0 where the goal is reached, else 0.0: a float for single goals, else an array."""
+        """1.0 where the goal is reached, else 0.0: a float for single goals, else an array.
+
+        Equal to the reward of a step for the goals in its observation.
+        """
         reached = self.goals.reached(achieved_goal, desired_goal)
         return float(reached) if reached.ndim == 0 else reached.astype(np.float64)
 

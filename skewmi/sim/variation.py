@@ -22,7 +22,7 @@ import numpy as np
 
 from skewmi.errors import ConfigurationError, NotFoundError, did_you_mean
 from skewmi.policy_io import Array
-from skewmi.yaml_text import parse_yaml
+from skewmi.yaml_text import parse_yaml, shown
 
 _FOLDER = "variations"
 """Where a package keeps the files that come with it."""
@@ -221,7 +221,7 @@ class Variations:
             return self.parse(variation)
         if not isinstance(variation, str | Path):
             raise ConfigurationError(
-                f"variation is {variation!r}; give a file or a bundled name: "
+                f"variation is {shown(variation)}; give a file or a bundled name: "
                 f"{', '.join(self.bundled())}"
             )
         return self.load(variation)
@@ -234,25 +234,29 @@ class Variations:
             )
         seed = content.get("seed", 0)
         if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
-            raise ConfigurationError(f"{name}: seed is {seed!r}; it must be a whole number from 0")
+            raise ConfigurationError(
+                f"{name}: seed is {shown(seed)}; it must be a whole number from 0"
+            )
         ranges: dict[str, Range] = {}
         for section, entries in content.items():
             if section == "seed":
                 continue
             if section not in sections:
                 raise ConfigurationError(
-                    f"{name}: no section {section!r}; allowed: {', '.join(('seed', *sections))}"
+                    f"{name}: no section {shown(section)}; allowed: "
+                    f"{', '.join(('seed', *sections))}"
                 )
             allowed = {key.short: key for key in self.keys if key.section == section}
             if not isinstance(entries, dict | None):
                 raise ConfigurationError(
-                    f"{name}: {section} is {entries!r}; it must map keys to values: "
+                    f"{name}: {section} is {shown(entries)}; it must map keys to values: "
                     f"{', '.join(allowed)}"
                 )
             for short, value in (entries or {}).items():
                 if short not in allowed:
                     raise ConfigurationError(
-                        f"{name}: {section} has no key {short!r}; allowed: {', '.join(allowed)}"
+                        f"{name}: {section} has no key {shown(short)}; allowed: "
+                        f"{', '.join(allowed)}"
                     )
                 ranges[f"{section}.{short}"] = _range(value, allowed[short], name)
         for key in self.keys:
@@ -277,7 +281,7 @@ def _pair(value: object, key: VariationKey, name: str) -> tuple[float, float]:
     unit = "" if key.unit == "1" else f" {key.unit}"
     lists = f", or a list of {key.size} of these" if key.size > 1 else ""
     rule = (
-        f"{name}: {key.name} is {value!r}; it must be a number or [low, high], "
+        f"{name}: {key.name} is {shown(value)}; it must be a number or [low, high], "
         f"within {key.low:g}..{key.high:g}{unit}{lists}"
     )
     pair: list[Any] = value if isinstance(value, list) else [value, value]

@@ -156,6 +156,8 @@ def test_another_robot_schema_or_arm_is_refused() -> None:
         (b"schema: a\nschema: b\n", "is not YAML"),
         (b"!!python/object/apply:os.system ['false']", "is not YAML"),
         (b"#" * (LARGEST_FILE + 1), "larger than"),
+        (b"schema: [&a [1], [*a, *a]]", "aliases"),
+        (b"schema: 0x" + b"f" * 5000, "a number of more than"),
     ],
 )
 def test_what_is_no_calibration_is_refused_by_its_path(

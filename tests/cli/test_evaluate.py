@@ -107,3 +107,21 @@ def test_bad_input_is_one_line_and_code_2(
         assert stdout == ""
         assert reason in stderr
         assert stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("task", "option", "reason"),
+    [
+        ("point_maze", 'start_noise="a"', "start_noise is 'a'"),
+        ("point_maze", "time_input=3", "time_input is 3; it must be true or false"),
+        ("open_press_close", "randomization=3", "from Python alone"),
+        ("open_press_close", "gripper_action=2", "gripper_action is 2"),
+    ],
+)
+def test_task_options_of_another_type_are_refused(
+    task: str, option: str, reason: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["evaluate", "--agent", "random", "--task", task, "--option", option]) == 2
+    stdout, stderr = capfd.readouterr()
+    assert (stdout, stderr.count("\n")) == ("", 1)
+    assert reason in stderr

@@ -118,6 +118,26 @@ def test_reward_of_a_step_is_compute_reward_of_its_goals() -> None:
     assert observation["desired_goal"].tolist() == [-4.0, 0.0]
 
 
+def test_goals_and_rewards_are_of_what_the_sensors_say() -> None:
+    name = "skewmi/OpenPressClose-v0"
+    biased = tasks.find("open_press_close").variations.parse("sensors: {lid_bias_deg: 20}")
+    env: Any = gymnasium.make(name, variation=biased).unwrapped
+    ideal: Any = gymnasium.make(name).unwrapped
+    true_goal = ideal.reset(seed=0)[0]["achieved_goal"]
+    measured = env.reset(seed=0)[0]["achieved_goal"]
+    lid = env.goal_names.index("lid_angle")
+    assert measured[lid] - true_goal[lid] == pytest.approx(np.radians(20.0))
+    still = np.zeros(env.action_space.shape, dtype=np.float32)
+    for goal, expected in ((measured, 1.0), (true_goal, 0.0)):
+        env.reset(seed=0, options={"desired_goal": goal})
+        observation, reward, _, _, info = env.step(still)
+        assert reward == expected
+        assert info["is_success"] == (reward == 1.0)
+        assert reward == env.compute_reward(
+            observation["achieved_goal"], observation["desired_goal"], info
+        )
+
+
 def test_goal_and_observation_name_their_fields() -> None:
     env: Any = gymnasium.make(MAZE, time_input=True).unwrapped
     assert env.goal_names == ("x", "y")

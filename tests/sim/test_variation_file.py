@@ -110,6 +110,9 @@ def test_seven_values_belong_to_the_joints_in_order() -> None:
         ("- 1", "must map sections to keys"),
         ("lid: {mass: [", "is not YAML"),
         ("lid: {mass: 0.1, mass: 0.2}", "is not YAML"),
+        ("lid: {mass: &m 0.1, damping: *m}", "robot.yaml, line 1: anchors (&name) and aliases"),
+        (f"lid: {{mass: {'9' * 400}}}", "a number of more than 40 characters"),
+        (f"lid: {{mass: {'x' * 9000}}}", "x...x"),
     ],
 )
 def test_what_is_wrong_is_said_in_one_line(tmp_path: Path, text: str, said: str) -> None:

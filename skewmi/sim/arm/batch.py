@@ -20,9 +20,15 @@ from skewmi.sim.arm.known import Known
 from skewmi.sim.arm.physics import ArmPhysics
 from skewmi.sim.arm.randomization import Randomization
 from skewmi.sim.arm.scene import ArmScene
-from skewmi.sim.checks import checked_action, checked_num_envs, checked_num_threads
+from skewmi.sim.checks import (
+    checked_action,
+    checked_num_envs,
+    checked_num_threads,
+    checked_switches,
+)
 from skewmi.sim.variation import ModelVariation, VariationSample
 from skewmi.success import inside_region
+from skewmi.yaml_text import shown
 
 
 class ArmBatch:
@@ -77,13 +83,14 @@ class ArmBatch:
                 from their zero, and the policy works in the frame of the box that it knows.
 
         Raises:
-            ConfigurationError: A number is out of range, or variation or calibration not valid.
+            ConfigurationError: A value is of another type or out of range, or variation or
+                calibration not valid.
             NotFoundError: There is no such target, variation or calibration file.
         """
         self.task = task
-        self.layout = task.layout(
-            gripper_action=gripper_action, time_input=time_input, target=target
-        )
+        switches = checked_switches(gripper_action=gripper_action, time_input=time_input)
+        self.layout = task.layout(target=target, **switches)
+        self._randomization = _checked(randomization)
         self.num_envs = checked_num_envs(num_envs)
         self.variation = task.variations.resolve(variation)
         known = Known.of(calibration)
@@ -99,7 +106,6 @@ class ArmBatch:
             known,
         )
         self.batch, self.servo_targets = self._physics.batch, self._physics.servo_targets
-        self._randomization = Randomization() if randomization is None else randomization
         self._rng = np.random.default_rng(seed)
         self._step_index = -1
 
@@ -198,3 +204,14 @@ class ArmBatch:
         except (KeyError, TypeError, ValueError) as error:
             raise ConfigurationError(f"not a random state of {self.task.name}: {error}") from error
         self._rng = rng
+
+
+def _checked(randomization: object) -> Randomization:
+    if randomization is None:
+        return Randomization()
+    if not isinstance(randomization, Randomization):
+        raise ConfigurationError(
+            f"randomization is {shown(randomization)}; it must be a Randomization, which can be "
+            "given from Python alone: no --option can say one"
+        )
+    return randomization

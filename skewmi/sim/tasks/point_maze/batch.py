@@ -11,7 +11,13 @@ from numpy.typing import NDArray
 from skewmi.batch_env import StepResult
 from skewmi.errors import ConfigurationError
 from skewmi.policy_io import TIME_FIELD, Array, PolicyLayout, assemble_observation
-from skewmi.sim.checks import checked_action, checked_num_envs, checked_num_threads
+from skewmi.sim.checks import (
+    checked_action,
+    checked_num_envs,
+    checked_num_threads,
+    checked_switches,
+    checked_width,
+)
 from skewmi.sim.tasks.point_maze import maze
 from skewmi.success import inside_region
 
@@ -47,18 +53,14 @@ class PointMazeBatch:
             start_noise: Half-width of the uniform start position per axis, m, below 1.
 
         Raises:
-            ConfigurationError: A number is out of its range.
+            ConfigurationError: A value is of another type, or out of its range.
             NotFoundError: There is no such target.
         """
         self.num_envs = checked_num_envs(num_envs)
         checked_num_threads(num_threads)
-        if not 0.0 <= start_noise < 0.5 * maze.CELL_SIZE:
-            raise ConfigurationError(
-                f"start_noise is {start_noise} m; it must be in 0..{0.5 * maze.CELL_SIZE} m "
-                "(1 m is half the start cell)"
-            )
-        self.layout = maze.layout(time_input=time_input, target=target)
-        self._start_noise = start_noise
+        # Half the start cell: beyond it stand walls.
+        self._start_noise = checked_width(start_noise, "start_noise", 0.5 * maze.CELL_SIZE, "m")
+        self.layout = maze.layout(target=target, **checked_switches(time_input=time_input))
         self._generator = np.random.default_rng(seed)
         self._position = np.zeros((self.num_envs, 2))
         self._step_index: int | None = None
