@@ -31,6 +31,12 @@ POINTS_SIGMA = 0.1e-3
 COLUMNS = ("face", "x", "y", "z")
 LARGEST_FILE = 100_000
 MOST_POINTS = 1000
+LARGEST = 10.0
+"""Of a coordinate, m: no arm reaches so far, and arithmetic with much larger ones breaks down."""
+LARGEST_YAW_DEG = 3600.0
+"""Of a marker: some turns more or less are the same yaw."""
+ASYMMETRY = 1e-6
+"""Of a covariance, as a part of what its two deviations allow: digits that were rounded off."""
 
 
 def read_points(path: str | Path, faces: Mapping[str, Face]) -> list[Touch]:
@@ -70,6 +76,10 @@ def read_points(path: str | Path, faces: Mapping[str, Face]) -> list[Touch]:
             raise ConfigurationError(f"{where}: {error}") from error
         if not np.isfinite(point).all():
             raise ConfigurationError(f"{where}: {row[1:]} must be finite numbers")
+        if np.abs(point).max() > LARGEST:
+            raise ConfigurationError(
+                f"{where}: {row[1:]} must be in m, at most {LARGEST:g} either way"
+            )
         touches.append(_point(faces[name], point))
     if len(touches) > MOST_POINTS:
         raise ConfigurationError(
@@ -125,6 +135,11 @@ def _planar(content: object, where: str) -> Array:
     entries = mapping_of(content, where)
     checked_keys(entries, where, ("x", "y", "yaw_deg"))
     x, y, yaw_deg = (number_of(entries[name], f"{where}.{name}") for name in ("x", "y", "yaw_deg"))
+    if max(abs(x), abs(y)) > LARGEST or abs(yaw_deg) > LARGEST_YAW_DEG:
+        raise ConfigurationError(
+            f"{where} is x {x:g}, y {y:g}, yaw_deg {yaw_deg:g}; within {LARGEST:g} m and "
+            f"{LARGEST_YAW_DEG:g} degrees are allowed"
+        )
     return np.array([x, y, np.radians(yaw_deg)])
 
 
@@ -136,7 +151,16 @@ def _covariance(content: object) -> Array:
             for row in sequence_of(content, "covariance", 3)
         ]
     )
-    if not np.allclose(rows, rows.T) or np.linalg.eigvalsh(rows).min() <= 0.0:
+    most = np.array([LARGEST, LARGEST, LARGEST_YAW_DEG])
+    if (np.abs(rows) > np.outer(most, most)).any():
+        raise ConfigurationError(
+            f"covariance is {rows.tolist()}; standard deviations of at most {LARGEST:g} m and "
+            f"{LARGEST_YAW_DEG:g} degrees are allowed"
+        )
+    # Covariances are tiny numbers: what is a small difference depends on the variances alone.
+    deviations = np.sqrt(np.diag(rows).clip(min=0.0))
+    allowed = ASYMMETRY * np.outer(deviations, deviations)
+    if (np.abs(rows - rows.T) > allowed).any() or np.linalg.eigvalsh(rows).min() <= 0.0:
         raise ConfigurationError(
             "covariance must be symmetric and positive: of x (m), y (m) and yaw (degrees)"
         )

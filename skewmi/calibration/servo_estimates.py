@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skewmi.calibration.servo_parameters import ServoUnknowns
 from skewmi.calibration.uncertainty import TWO_SIDED_95, FitCovariance
@@ -13,7 +14,7 @@ from skewmi.robot_models.yumi import Array
 KNOWN = 0.2
 """Largest half-width, as a part of the value, of a constant that counts as identified."""
 KNOWN_FRICTION = 0.02
-"""The same for friction, N m, if that is more."""
+"""The same for friction, and for what it is more at rest, N m, if that is more."""
 KNOWN_DELAY_S = 0.002
 """The same for the delay, s, if that is more."""
 _WIDEST = 20.0
@@ -71,7 +72,21 @@ def estimates(
         else:
             half = np.minimum(half, _WIDEST)
             low, high = value * np.exp(-half), value * np.exp(half)
-        found[name] = Estimate(value, low, high, is_known(name, value, low, high, own.kp))
+        known = is_known(name, value, low, high, own.kp)
+        if name == "stribeck_velocity":
+            # The speed at which next to nothing has gone cannot be known, and does not matter.
+            known = tuple(np.logical_or(known, ~sticks(values["stiction"])).tolist())
+        found[name] = Estimate(value, low, high, known)
+    return found
+
+
+def sticks(stiction: Array) -> NDArray[np.bool_]:
+    """Whether joints have more friction at rest than can be told from none.
+
+    Args:
+        stiction: What they have more at rest, N m. Shape (7,).
+    """
+    found: NDArray[np.bool_] = stiction >= KNOWN_FRICTION
     return found
 
 
@@ -84,7 +99,7 @@ def is_known(name: str, value: Array, low: Array, high: Array, kp: Array) -> tup
         kp: Stiffness of the same joints, N m/rad. Shape (7,).
     """
     allowed = KNOWN * value
-    if name == "frictionloss":
+    if name in ("frictionloss", "stiction"):
         allowed = np.maximum(allowed, KNOWN_FRICTION)
     elif name == "frictionloss_over_kp":
         allowed = np.maximum(allowed, KNOWN_FRICTION / kp)

@@ -21,6 +21,8 @@ _UNITS = {
     "kd_over_kp": "s",
     "frictionloss_over_kp": "rad",
 }
+_STICTION_UNITS = {"stiction": "N m", "stribeck_velocity": "rad/s"}
+"""Of what is there if joints stick."""
 STICKS = 0.1
 """More friction at rest, as a part of that in motion, from which a joint sticks."""
 LONG_MEMORY = 10.0
@@ -68,7 +70,7 @@ def servo_warnings(found: ServoIdentification) -> tuple[str, ...]:
     """What whoever uses the constants should know, a sentence each."""
     names = yumi.joint_names("right")
     warnings = []
-    for name, unit in _UNITS.items():
+    for name, unit in (_UNITS | _STICTION_UNITS).items():
         estimate = found.estimates.get(name)
         if estimate is None:
             continue

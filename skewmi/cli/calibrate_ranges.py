@@ -10,7 +10,7 @@ import tyro
 from ruamel.yaml import YAML
 
 from skewmi.calibration.calibration_file import read_calibration
-from skewmi.calibration.ranges import variation_ranges
+from skewmi.calibration.ranges import range_warnings, variation_ranges
 from skewmi.cli import numbers
 from skewmi.outputs import check_output, written_aside
 from skewmi.robot_models.servo import CONTACT_SERVO
@@ -22,7 +22,8 @@ class Ranges:
     """Turn a calibration's intervals into a variation file: robots that it may be of.
 
     Each interval is widened about its value, and to a floor at least: what no calibration tells
-    (temperature, wear) is not less than that. Exit code 0 done, 2 bad input.
+    (temperature, wear) is not less than that. What a variation cannot have is told in a warning.
+    Exit code 0 done, 2 bad input.
     """
 
     calibration: Annotated[Path, tyro.conf.Positional]
@@ -48,5 +49,7 @@ def run_ranges(options: Ranges) -> int:
     yaml.width = 100
     with written_aside(target) as draft, draft.open("w", encoding="utf-8") as file:
         yaml.dump(content, file)
+    for warning in range_warnings(calibration, CONTACT_SERVO, keys):
+        print(f"warning: {warning}")
     print(f"wrote {options.out}")
     return 0

@@ -3,30 +3,24 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 
-from skewmi import __version__
-from skewmi.calibration.calibration_file import (
-    Calibration,
-    SceneCalibration,
-    read_calibration,
-    write_calibration,
-)
+from skewmi.calibration.calibration_file import Calibration, read_calibration, write_calibration
 from skewmi.calibration.calibration_use import require_robot
 from skewmi.calibration.contact_watch import ContactWatch
 from skewmi.calibration.known_prediction import prediction_of
-from skewmi.calibration.scene_fit import SceneFit, Touch, fit_scene
+from skewmi.calibration.scene_fit import Touch, fit_scene
 from skewmi.calibration.scene_section import scene_section, scene_warnings, touch_of
 from skewmi.calibration.scene_sources import read_marker, read_points
 from skewmi.calibration.servo_model import ServoModel
 from skewmi.cli import numbers
+from skewmi.cli.calibrate_scene_result import FoundScene, merged, print_scene, scene_document
 from skewmi.cli.interrupt import stop_on_signal
 from skewmi.cli.robot_flags import require_motion_options
 from skewmi.cli.scene_shapes import SceneBox, nominal_box
@@ -35,7 +29,7 @@ from skewmi.cli.task_flags import variation_option
 from skewmi.deploy.motion_link import JointMotionOptions
 from skewmi.deploy.robot.description import RobotDescription, admitted
 from skewmi.deploy.session.touch_plan import PlannedTouch
-from skewmi.deploy.touch_motion import TouchReport, run_touches
+from skewmi.deploy.touch_motion import run_touches
 from skewmi.deploy.wire.domain import ros_domain
 from skewmi.errors import ConfigurationError
 from skewmi.outputs import check_output
@@ -85,16 +79,6 @@ class Scene:
     """Print one JSON document on the last line."""
 
 
-@dataclass(frozen=True)
-class _Found:
-    """What is known at the end."""
-
-    fit: SceneFit
-    faces: Sequence[str]
-    report: TouchReport | None
-    lid: tuple[float, float] | None
-
-
 def run_scene(options: Scene) -> int:
     """Touch, solve, write, tell. Returns the exit code."""
     before = _checked(options)
@@ -115,14 +99,14 @@ def run_scene(options: Scene) -> int:
     section = scene_section(found.fit, lid_bias, lid_sigma)
     known = before is not None and (before.servo is not None or before.egm is not None)
     warnings = scene_warnings(found.fit, found.faces, known or found.report is None)
-    written = _merged(before, section, found, warnings, begun)
+    written = merged(before, section, found, warnings, begun)
     write_calibration(options.out, written, overwrite=options.overwrite)
     seconds = (datetime.now(UTC) - begun).total_seconds()
-    document = _document(options, section, found, seconds)
+    document = scene_document(options.out, section, found, seconds)
     if options.json:
         print(json.dumps(document))
     else:
-        _print(document, warnings, Console())
+        print_scene(document, warnings, Console())
     return 0
 
 
@@ -139,20 +123,20 @@ def _checked(options: Scene) -> Calibration | None:
     return None if options.calibration is None else read_calibration(options.calibration)
 
 
-def _told(options: Scene) -> _Found:
+def _told(options: Scene) -> FoundScene:
     """From a file, for the box of the default task; nothing moves."""
     box = nominal_box()
     if options.marker is not None:
         middle = next(iter(box.faces.values())).middle
-        return _Found(read_marker(options.marker, middle), (), None, None)
+        return FoundScene(read_marker(options.marker, middle), (), None, None)
     assert options.points is not None
     touches = read_points(options.points, box.faces)
-    return _Found(fit_scene(touches), [t.face.name for t in touches], None, None)
+    return FoundScene(fit_scene(touches), [t.face.name for t in touches], None, None)
 
 
 def _touched(
     options: Scene, before: Calibration | None, tell: Callable[[str], None]
-) -> _Found | int:
+) -> FoundScene | int:
     """By touching; the exit code if that was stopped or did not come to a result."""
     model = ServoModel(CONTACT_SERVO.kd / CONTACT_SERVO.kp)
     prediction = prediction_of(before, model, CONTACT_SERVO)
@@ -204,91 +188,9 @@ def _touched(
         return 1
     lid = boxes[0].lid
     read = None if lid not in report.scene else (report.scene[lid], report.scene_scatter[lid])
-    return _Found(fit, [touch.face.name for touch in touches], report, read)
+    return FoundScene(fit, [touch.face.name for touch in touches], report, read)
 
 
 def _touch(box: SceneBox, reading: Any) -> Touch:
     face = box.faces[reading.touch.face]
     return touch_of(face, reading.touch.top, reading.q, reading.opening)
-
-
-def _merged(
-    before: Calibration | None,
-    section: SceneCalibration,
-    found: _Found,
-    warnings: tuple[str, ...],
-    now: datetime,
-) -> Calibration:
-    """A calibration with this scene, and all else that was known."""
-    checks = {"scene_chi_squared": found.fit.chi_squared}
-    if len(found.fit.residuals):
-        checks["scene_residual_rms_m"] = float(np.sqrt((found.fit.residuals**2).mean()))
-    if found.report is not None:
-        checks["scene_largest_force_n"] = found.report.largest_force
-    created = now.isoformat(timespec="seconds")
-    if before is None:
-        return Calibration(created, __version__, scene=section, checks=checks, warnings=warnings)
-    kept = {name: value for name, value in before.checks.items() if not name.startswith("scene_")}
-    return replace(
-        before,
-        created=created,
-        version=__version__,
-        scene=section,
-        checks=kept | checks,
-        warnings=tuple(dict.fromkeys((*before.warnings, *warnings))),
-    )
-
-
-def _document(
-    options: Scene, section: SceneCalibration, found: _Found, seconds: float
-) -> dict[str, Any]:
-    numbers_of = section.as_mapping()
-    pose: dict[str, Any] = {
-        name: {key: numbers_of[name][key] for key in ("value", "low", "high")}  # type: ignore[index]
-        for name in ("x", "y", "yaw_deg")
-    }
-    report = found.report
-    forces = (
-        [None] * len(found.faces) if report is None else [r.peak_force for r in report.readings]
-    )
-    return {
-        "box_pose": {**pose, "covariance": numbers_of["covariance"]},
-        "touches": [
-            {
-                "face": face,
-                "point_m": point.tolist(),
-                "residual_mm": 1e3 * float(residual),
-                "peak_force_n": force,
-            }
-            for face, point, residual, force in zip(
-                found.faces, found.fit.points, found.fit.residuals, forces, strict=True
-            )
-        ],
-        "largest_force_n": None if report is None else report.largest_force,
-        "lid_bias_deg": numbers_of["lid_bias_deg"],
-        "seconds": seconds,
-        "robot_seconds": None if report is None else report.seconds,
-        "contact": {} if report is None else report.contact,
-        "missed_cycles": None if report is None else report.missed_cycles,
-        "usage": None if report is None else report.usage.as_dict(),
-        "out": str(options.out),
-    }
-
-
-def _print(document: dict[str, Any], warnings: Sequence[str], console: Console) -> None:
-    pose = document["box_pose"]
-    console.print("the box stands off its nominal place by (95 % intervals)")
-    for name, scale, unit in (("x", 1e3, "mm"), ("y", 1e3, "mm"), ("yaw_deg", 1.0, "degrees")):
-        value, low, high = (scale * pose[name][key] for key in ("value", "low", "high"))
-        console.print(f"  {name:8s}{value:+8.3f} ({low:+.3f} to {high:+.3f}) {unit}")
-    lid = document["lid_bias_deg"]
-    console.print(
-        f"the shut lid reads {lid['value']:.2f} ({lid['low']:.2f} to {lid['high']:.2f}) deg"
-    )
-    for touch in document["touches"]:
-        force = touch["peak_force_n"]
-        pressed = "" if force is None else f", pressed with {force:.1f} N"
-        console.print(f"  {touch['face']:6s} {touch['residual_mm']:+.3f} mm off{pressed}")
-    for warning in warnings:
-        console.print(f"warning: {warning}", markup=False)
-    console.print(f"wrote {document['out']}", markup=False)

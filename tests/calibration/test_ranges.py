@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calibrations import full_calibration
+from calibrations import full_calibration, known_servo
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skewmi.calibration.calibration_file import Constant
-from skewmi.calibration.ranges import FLOORS, variation_ranges
+from skewmi.calibration.calibration_file import Calibration, Constant
+from skewmi.calibration.ranges import FLOORS, range_warnings, variation_ranges
 from skewmi.robot_models.servo import CONTACT_SERVO
 from skewmi.sim import tasks
 
@@ -27,6 +27,12 @@ def seven(values: tuple[float, ...], half: float) -> Constant:
         tuple(v + half for v in values),
         (False,) * 7,
     )
+
+
+def calibrated(**changes: Constant) -> Calibration:
+    """Nominal servos, known to 2 %, but for these constants."""
+    known = known_servo(CONTACT_SERVO, 12.0, 0.01, np.random.default_rng(0))
+    return replace(full_calibration(), servo=replace(known, **changes), scene=None)
 
 
 @given(
@@ -77,3 +83,57 @@ def test_wider_means_wider(widen: float) -> None:
             for a, b in zip(np.atleast_2d(rows), np.atleast_2d(wide[section][name]), strict=True):  # type: ignore[arg-type]
                 assert b[0] <= a[0]
                 assert a[1] <= b[1]
+
+
+def test_what_a_variation_can_hold_is_no_reason_to_warn() -> None:
+    assert range_warnings(calibrated(), CONTACT_SERVO, ALLOWED) == ()
+
+
+def test_what_a_variation_cannot_hold_is_told_with_what_it_allows() -> None:
+    kp = tuple((CONTACT_SERVO.kp * (1.0, 1.0, 5.8, 1.0, 1.0, 1.0, 0.25)).tolist())
+    odd = calibrated(
+        kp=Constant(kp, (*kp[:6], 0.6 * kp[6]), kp, (False,) * 7),
+        delay_ms=Constant((140.0,), (137.2,), (142.8,), (False,)),
+    )
+    assert range_warnings(odd, CONTACT_SERVO, ALLOWED) == (
+        "servo.kp_scale of yumi_joint_7_r is 5.8 (5.8 to 5.8) by the calibration; a variation "
+        "allows 0.2 to 5: the range ends there, and no robot of it is like the calibrated",
+        "servo.kp_scale of yumi_joint_6_r is 0.25 (0.15 to 0.25) by the calibration; a variation "
+        "allows 0.2 to 5: the range ends there",
+        "servo.delay_ms is 140 (137.2 to 142.8) by the calibration; a variation allows 0 to 100: "
+        "the range ends there, and no robot of it is like the calibrated",
+    )
+    assert range_warnings(odd, CONTACT_SERVO, {"servo.kd_scale": (0.2, 5.0)}) == ()
+    content = variation_ranges(odd, CONTACT_SERVO, 2.0, ALLOWED)
+    assert content["servo"]["delay_ms"] == [100.0, 100.0]
+
+
+def test_joints_that_stick_do_so_in_the_robots_of_the_ranges() -> None:
+    # F_c and F_m, N m: one that sticks, one that does not, and one with nearly no friction.
+    moving, more = (0.5,) * 5 + (0.5, 0.001), (0.25,) * 5 + (0.005, 0.005)
+    sticky = calibrated(
+        frictionloss=seven(moving, 0.1),
+        stiction=seven(more, 0.05),
+        stribeck_velocity=Constant(
+            (0.05,) * 7, (0.04,) * 5 + (1e-6,) * 2, (0.06,) * 5 + (9.0,) * 2, (False,) * 7
+        ),
+    )
+    assert range_warnings(sticky, CONTACT_SERVO, ALLOWED) == ()
+    content = variation_ranges(sticky, CONTACT_SERVO, 1.0, ALLOWED)
+    VARIATIONS.parse(json.dumps(content))
+    scale = content["servo"]["stiction_scale"]
+    # 1 + 0.25 / 0.5, as much to both sides as (0.3 / 0.4) is more.
+    np.testing.assert_allclose(np.array(scale)[0], [1.25, 1.75])
+    np.testing.assert_allclose(np.array(scale)[5], [1.0, 1.1375])
+    assert content["servo"]["stribeck_velocity"][0] == [0.04, 0.06]  # type: ignore[index]
+    assert content["servo"]["stribeck_velocity"][5] == [0.001, 1.0]  # type: ignore[index]
+    assert (
+        "stiction_scale" not in variation_ranges(calibrated(), CONTACT_SERVO, 1.0, ALLOWED)["servo"]
+    )
+    far = calibrated(
+        frictionloss=seven((0.1,) * 7, 0.0),
+        stiction=seven((0.1,) * 6 + (0.5,), 0.0),
+        stribeck_velocity=seven((0.05,) * 7, 0.0),
+    )
+    (told,) = range_warnings(far, CONTACT_SERVO, ALLOWED)
+    assert told.startswith("servo.stiction_scale of yumi_joint_6_r is 6 (6 to 6)")

@@ -42,6 +42,9 @@ def test_points_of_a_displaced_box_tell_its_place(seed: int, tmp_path: Path) -> 
         (GOOD + "near,0,0\n", "line 5: 3 values; there must be 4"),
         (GOOD + "near,0,zero,0\n", "line 5: could not convert"),
         (GOOD + "near,0,nan,0\n", "line 5: .* must be finite"),
+        (GOOD + "near,0.28,1e308,0.05\n", "line 5: .* must be in m, at most 10 either way"),
+        (GOOD + "near,-1e200,0,0.05\n", "line 5: .* must be in m"),
+        (GOOD + "near,283.4,-18.2,50\n", "line 5: .* must be in m"),
         (GOOD + "near,0,0,0\n" * 1000, "1000 at most"),
         ("#" * (LARGEST_FILE + 1), "is larger than"),
     ],
@@ -97,6 +100,11 @@ def test_a_marker_tells_the_box_and_how_well(seed: int, tmp_path: Path) -> None:
     [
         (("0.33", "nan"), "measured.x"),
         (("nominal", "nominel"), "nominel"),
+        (("x: 0.33", "x: 1e308"), "measured is x 1e\\+308.*; within 10 m"),
+        (("yaw_deg: 0.0", "yaw_deg: -1e308"), "measured .*3600 degrees are allowed"),
+        (("1.0e-2", "1e308"), "covariance is .*at most 10 m and 3600 degrees"),
+        (("[0.0, 4.0e-8, 1.0e-6]", "[5.0e-9, 4.0e-8, 1.0e-6]"), "covariance must be symmetric"),
+        (("[0.0, 4.0e-8, 1.0e-6]", "[0.0, 4.0e-8, 1.1e-6]"), "covariance must be symmetric"),
         (("1.0e-2", "-1.0"), "covariance must be symmetric and positive"),
         (("[0.0, 1.0e-6, 1.0e-2]", "[0.0, 1.0e-6]"), "covariance"),
         (("measured:", "measured: ["), "is not YAML"),
@@ -111,3 +119,19 @@ def test_a_bad_marker_is_told(change: tuple[str, str], message: str, tmp_path: P
         read_marker(path, MIDDLE)
     with pytest.raises(NotFoundError):
         read_marker(tmp_path / "none.yaml", MIDDLE)
+
+
+def test_digits_that_were_rounded_off_a_covariance_do_not_matter(tmp_path: Path) -> None:
+    path = tmp_path / "marker.yaml"
+    text = MARKER.format(x=0.33, y=-0.02, yaw=0.0, nominal=0.0)
+    exact = read_marker(_written(path, text), MIDDLE).covariance
+    rounded = text.replace("[0.0, 4.0e-8, 1.0e-6]", "[1.0e-20, 4.0e-8, 1.000001e-6]")
+    assert rounded != text
+    np.testing.assert_allclose(
+        read_marker(_written(path, rounded), MIDDLE).covariance, exact, rtol=1e-5, atol=1e-16
+    )
+
+
+def _written(path: Path, text: str) -> Path:
+    path.write_text(text)
+    return path

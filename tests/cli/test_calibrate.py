@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from calibrations import full_calibration
 
-from skewmi.calibration.calibration_file import read_calibration, write_calibration
+from skewmi.calibration.calibration_file import Constant, read_calibration, write_calibration
 from skewmi.cli.main import main
 from skewmi.deploy.recording.joint_series import executed_reference
 from skewmi.deploy.recording.reader import read_recording
@@ -74,6 +75,20 @@ def test_ranges_are_a_variation_file(tmp_path: Path) -> None:
     assert main(["calibrate", "ranges", str(calibration), "--out", str(out)]) == 0
     variation = tasks.find(tasks.default()).variations.load(out)
     assert variation.has("servo.kp_scale", "servo.delay_ms", "box_pose.x")
+
+
+def test_ranges_that_cannot_hold_the_robot_say_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = full_calibration()
+    assert whole.servo is not None
+    late = replace(whole.servo, delay_ms=Constant((140.0,), (137.0,), (143.0,), (False,)))
+    calibration = write_calibration(tmp_path / "c.yaml", replace(whole, servo=late))
+    out = tmp_path / "v.yaml"
+    assert main(["calibrate", "ranges", str(calibration), "--out", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert "warning: servo.delay_ms is 140 (137 to 143)" in printed
+    assert "allows 0 to 100" in printed
 
 
 def test_a_report_of_tables_needs_no_recording(tmp_path: Path) -> None:

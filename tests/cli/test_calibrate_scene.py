@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from calibrations import full_calibration
 
 from skewmi.calibration.calibration_file import read_calibration, write_calibration
+from skewmi.calibration.scene_fit import SceneFit
+from skewmi.calibration.scene_section import scene_warnings
+from skewmi.cli.calibrate_scene_result import SCENE_WARNINGS
 from skewmi.cli.main import main
 from skewmi.cli.scene_shapes import nominal_box
 
@@ -61,6 +66,55 @@ def test_points_tell_the_box_and_the_servos_stay(
     assert written.scene.x.low[0] < 0.001 < written.scene.x.high[0]
     # It is not replaced unasked.
     assert main(["calibrate", "scene", *flags]) != 0
+
+
+def test_a_new_scene_leaves_nothing_of_the_one_before(tmp_path: Path) -> None:
+    first, second, points = (tmp_path / name for name in ("1.yaml", "2.yaml", "points.csv"))
+    others = ("kp of yumi_joint_6_r is not identified: 3 to 400 N m/rad",)
+    unknown = scene_warnings(SceneFit(*(np.zeros(3),) * 4, 0.0), (), known_servo=False)
+    write_calibration(first, replace(full_calibration(), warnings=(*others, *unknown)))
+    # The last point is 3 mm off the side that the others tell.
+    points.write_text(POINTS + "left,0.40,0.004,0.05\n")
+    flags = ["--points", str(points), "--calibration"]
+    assert main(["calibrate", "scene", *flags, str(first), "--out", str(second)]) == 0
+    told = read_calibration(second).warnings
+    assert told[:-1] == others
+    assert "do not fit one box" in told[-1]
+    points.write_text(POINTS)
+    third = tmp_path / "3.yaml"
+    assert main(["calibrate", "scene", *flags, str(second), "--out", str(third)]) == 0
+    assert read_calibration(third).warnings == others
+
+
+def test_every_warning_of_a_scene_is_known_as_one() -> None:
+    fit = SceneFit(np.zeros(3), np.eye(3), np.zeros(4), np.zeros((4, 3)), 9.0)
+    told = scene_warnings(fit, ("near",) * 4, known_servo=False)
+    assert len(told) == len(SCENE_WARNINGS)
+    assert all(text.startswith(SCENE_WARNINGS) for text in told)
+
+
+def test_a_lid_that_was_not_measured_is_not_said_to_read_anything(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    points, out = tmp_path / "points.csv", tmp_path / "out.yaml"
+    points.write_text(POINTS)
+    assert main(["calibrate", "scene", "--points", str(points), "--out", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert "what the shut lid reads was not measured" in printed
+    assert "(0.00 to 0.00)" not in printed
+
+
+@pytest.mark.parametrize("number", ["1e308", "-1e200", "1e5"])
+def test_points_beyond_any_scene_are_refused(
+    number: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    points, out = tmp_path / "points.csv", tmp_path / "out.yaml"
+    points.write_text(POINTS.replace("0.283,-0.12", f"{number},-0.12"))
+    assert main(["calibrate", "scene", "--points", str(points), "--out", str(out)]) == 2
+    told = capsys.readouterr().err
+    assert "line 2" in told
+    assert "must be in m, at most 10" in told
+    assert not out.exists()
 
 
 def test_the_nominal_box_is_the_tasks() -> None:
