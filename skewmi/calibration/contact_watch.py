@@ -33,7 +33,8 @@ THRESHOLD = 0.4e-3
 """Growth of the deviation that is a touch, m: noise of 1e-4 rad in each joint is 0.1 mm."""
 FREE_WAY = 0.008
 """Of the finger from where it rested, on which nothing can be in its way, m: joints that friction
-held come loose meanwhile, which a model with a wrong friction takes for contact."""
+held come loose meanwhile, which a model with a wrong friction takes for contact. No contact is
+noticed and no force told there: a motion may begin only where so much way is known to be free."""
 _SETTLED, _BEFORE = 10, 25
 """The median is over states that are between so many and so many 20 ms old."""
 _MOVING = 2
@@ -85,7 +86,7 @@ class ContactWatch:
         self.touched, self.force, self.deviation = False, 0.0, 0.0
 
     def begin(self, q: Array, commanded: Array, direction: Array) -> None:
-        """A motion begins from rest.
+        """A motion begins from rest, where `FREE_WAY` ahead is free; what was learned is forgotten.
 
         Args:
             q: Where the arm rests, measured, rad. Shape (7,).
@@ -111,8 +112,10 @@ class ContactWatch:
         jacobian = tip_jacobian(self._arm, q)
         row = self._direction @ jacobian
         self.deviation = float(row @ (predicted - q))
-        if not self.touched:
-            self._judge(float(row @ (commands.q[-1] - self._from)) if len(commands) else 0.0)
+        # Without a command it is not known how far the way has led: not "nowhere", where contact
+        # would become what is usual.
+        if not self.touched and len(commands):
+            self._judge(float(row @ (commands.q[-1] - self._from)))
         excess = max(self.deviation - self._normal, 0.0)
         self.force = excess * stiffest(self._direction, jacobian, self._stiffness)
 

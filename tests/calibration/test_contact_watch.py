@@ -88,6 +88,29 @@ def test_a_finger_that_stands_still_is_noticed_and_no_other(seed: int) -> None:
             assert noticed is None, f"taken for contact after {1e3 * noticed:.1f} mm"
 
 
+def test_a_state_without_commands_makes_no_contact_usual() -> None:
+    rng = np.random.default_rng(0)
+    servo, watch = watched(rng, 0.0)
+    commands, direction = creeping(rng)
+    robot = ServoPrediction(servo, MODEL)
+    robot.begin(commands.q[0], commands.q[0])
+    watch.begin(commands.q[0], commands.q[0], direction)
+    first = 0
+    while SPEED * 0.004 * first < FREE_WAY + 0.004:
+        rows = slice(first, first + CYCLE_TICKS)
+        first += CYCLE_TICKS
+        watch.look(commands.part(rows), q := robot.step(commands.part(rows)))
+    # The finger stands still from here on, and is seen twice at each time.
+    forces = []
+    for _ in range(12):
+        watch.look(commands.part(slice(first, first + CYCLE_TICKS)), q)
+        watch.look(commands.part(slice(0, 0)), q)
+        first += CYCLE_TICKS
+        forces.append(watch.force)
+    assert watch.touched
+    assert forces[-1] > 1.0
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_the_stiffest_finger_sticks_or_has_a_joint_held(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -115,7 +115,7 @@ class _Way:
     def next_chunk(self, state: ArmState, splice: int) -> JointTrajectory | None:
         """The next part of the motion."""
         del state
-        if splice != CYCLE_TICKS and self._cycle > 0:
+        if splice != CYCLE_TICKS and 0 < self._cycle < self._motion.cycles:
             # Braking has begun: this motion cannot be taken up again, another one can.
             self.late = True
             return None

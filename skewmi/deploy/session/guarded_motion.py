@@ -1,7 +1,8 @@
 """A motion that ends where something is met, and then holds still to be measured.
 
 Rest, creep, hold: the arm rests until it is known where; it follows a path until a watch says that
-it has met something, or to its end; it stops on the path and rests until enough has been measured.
+it has met something, or to its end, or until a chunk would be late; it stops on the path and rests
+until enough has been measured. The watch looks on until then: what is met in a stop is met, too.
 """
 
 from __future__ import annotations
@@ -36,7 +37,11 @@ class Watch(Protocol):
     force: float
 
     def begin(self, q: Array, commanded: Array, direction: Array) -> None:
-        """A motion begins from rest at `q`, rad, shape (7,); `direction` in the base frame."""
+        """A motion begins from rest at `q`, rad, shape (7,); `direction` in the base frame.
+
+        The watch may learn from its first part what is usual, and notice nothing there: whoever
+        begins it sees to it that nothing is in the way of that part.
+        """
 
     def look(self, commands: JointTrajectory, q: Array) -> None:
         """A state has come: commands since the last one, every 4 ms, and what is measured."""
@@ -80,17 +85,18 @@ class GuardedMotion:
     """See the module; each `begin` is a new attempt.
 
     Args:
-        motion: To be followed.
+        motion: To be followed, from where nothing can be met yet; see `Watch.begin`.
         direction: Of the finger, base frame. Shape (3,).
         watch: Says when something is met.
         stream: Knows what was commanded.
         force_limit: More than that ends the run, N.
+        peak_force: Of earlier attempts, N.
 
     Attributes:
-        late: Whether the attempt was given up because a chunk would have been late.
-        touched: Whether something was met.
-        peak_force: Largest force that the watch told, N.
-        held: States measured at rest at the end, if the attempt was not given up.
+        late: Whether the arm was stopped because a chunk would have been late.
+        touched: Whether something was met, be it in such a stop.
+        peak_force: Largest force that the watch told, in earlier attempts too, N.
+        held: States measured at rest at the end.
     """
 
     def __init__(
@@ -100,10 +106,11 @@ class GuardedMotion:
         watch: Watch,
         stream: ChunkStream,
         force_limit: float,
+        peak_force: float = 0.0,
     ) -> None:
         self._motion, self._direction = motion, direction
         self._watch, self._stream, self._force_limit = watch, stream, force_limit
-        self.peak_force, self.touched, self.late = 0.0, False, False
+        self.peak_force, self.touched, self.late = peak_force, False, False
         self.held: list[ArmState] = []
 
     def begin(self, q: Array, state: ArmState) -> None:
@@ -150,8 +157,9 @@ class GuardedMotion:
         if self._rest_ns >= 0:
             return rest_of_sent(self._stream, splice)
         if splice != CYCLE_TICKS and self._cycle > 0:
-            self.late = True
-            return None
+            # The stop has begun. It is watched as any other: the finger may press already.
+            self.late, self._rest_ns = True, self._stream.rest_ns
+            return rest_of_sent(self._stream, splice)
         chunk = self._motion.chunk(self._cycle)
         self._cycle += 1
         return chunk

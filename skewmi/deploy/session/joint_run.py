@@ -14,6 +14,7 @@ import numpy as np
 from skewmi.deploy.motion.path_motion import PathMotion
 from skewmi.deploy.motion.start_motion import StartMotion
 from skewmi.deploy.safety.checks import Check
+from skewmi.deploy.safety.limits import SPLICE_TOLERANCE
 from skewmi.deploy.session.approach import Approach
 from skewmi.deploy.session.arm_state import ArmState
 from skewmi.deploy.session.carried_out import carried_out
@@ -21,7 +22,7 @@ from skewmi.deploy.session.control_loop import ControlLoop
 from skewmi.deploy.session.interrupt import check_interrupt
 from skewmi.deploy.session.observer import Observer
 from skewmi.deploy.session.readiness import wait_until_ready
-from skewmi.deploy.session.refused import OutOfStepError, given_up
+from skewmi.deploy.session.refused import LateChunkError, OutOfStepError, given_up
 from skewmi.deploy.session.robot_client import RobotClient
 from skewmi.deploy.session.states import SessionEvent
 from skewmi.deploy.session.status import SessionStatus
@@ -104,14 +105,14 @@ class JointRun:
         wait_until_ready(self._robot, self._stop, dry_run=False)
         # Looked at before arming: who holds an arm must not be silent for as long as that takes.
         motion = PathMotion(trajectory, self._limits)
-        self._check(trajectory)
+        self._check(motion)
         q_seen = self._resting()
-        self._check_way(q_seen, trajectory.q[0])
+        self._check_ways(q_seen, trajectory)
         self._robot.arm(workspace=self._workspace)
         q_before = self._resting()
         # Nobody can have moved the arm by more than a little meanwhile.
         if (q_before != q_seen).any():
-            self._check_way(q_before, trajectory.q[0])
+            self._check_ways(q_before, trajectory)
         self._status.fire(SessionEvent.READY, "the whole motion is free")
         state = self._observer.fresh_state()
         self._tell("moving to where the motion begins")
@@ -128,21 +129,37 @@ class JointRun:
         self._status.clock_ns = description.clock_ns
         return np.array(description.commanded_position)
 
-    def _check_way(self, q: Array, q_goal: Array) -> None:
-        self._check(StartMotion(q, q_goal, self._limits).trajectory)
+    def _check_ways(self, q: Array, trajectory: JointTrajectory) -> None:
+        """Look at the way to a motion, and at the way back, which may lead out where it leads in.
 
-    def _check(self, trajectory: JointTrajectory) -> None:
+        Args:
+            q: Where the arm rests, rad. Shape (7,).
+            trajectory: Of the motion.
+        """
+        for start, goal in ((q, trajectory.q[0]), (trajectory.q[-1], q)):
+            self._check(StartMotion(start, goal, self._limits))
+
+    def _check(self, motion: PathMotion | StartMotion) -> None:
         """Look at a motion before any of it is sent.
 
         Raises:
-            LimitViolationError: It leads through something, or asks for too much torque.
+            LimitViolationError: It breaks a limit, leaves the workspace, leads through something,
+                or asks for too much torque.
         """
-        guard = dict(self._stages)["guard"]
-        for first in range(0, len(trajectory), _AT_ONCE):
+        stages, rows = dict(self._stages), motion.trajectory
+        for cycle in range(motion.cycles):
             check_interrupt(self._stop)
-            rows = trajectory.part(slice(first, first + _AT_ONCE + 1))
-            start = JointPoint(rows.q[0], np.zeros(7), np.zeros(7))
-            guard(rows, start, start.q[None])
+            # As it will be sent. A workspace holds from inside: a chunk begins on a sample of the
+            # one before, so that none can begin outside once the hand has come in.
+            first = cycle * CYCLE_TICKS
+            before = JointPoint(rows.q[first], rows.v[first], rows.a[first])
+            earlier = rows.q[np.maximum(np.arange(first - 3, first), 0)]
+            stages["check"](motion.chunk(cycle), before, earlier)
+        for first in range(0, len(rows), _AT_ONCE):
+            check_interrupt(self._stop)
+            part = rows.part(slice(first, first + _AT_ONCE + 1))
+            start = JointPoint(part.q[0], np.zeros(7), np.zeros(7))
+            stages["guard"](part, start, start.q[None])
 
     def _follow(self, motion: PathMotion, state: ArmState) -> ArmState:
         """Carry the motion out from its beginning.
@@ -154,7 +171,6 @@ class JointRun:
             CommandRefusedError: It came too late `ATTEMPTS` times.
             SkewmiError: Whatever else ends it.
         """
-        way = KnownMotion(motion, self._stream)
         q = motion.trajectory.q[0]
         last: OutOfStepError | None = None
         for attempt in range(ATTEMPTS):
@@ -163,7 +179,7 @@ class JointRun:
                 self._tell(f"{why}: the motion begins anew")
                 state = self._approach.run(motion.trajectory.q[0], q, state)
                 q = motion.trajectory.q[0]
-            last = None
+            way, last = KnownMotion(motion, self._stream), None
             try:
                 state = self._loop.run(way, q, state)
                 if not way.late:
@@ -172,7 +188,15 @@ class JointRun:
             except OutOfStepError as error:
                 last = error
                 q, state = self._loop.recover(error)
+                if isinstance(error, LateChunkError) and way.all_sent and _at_end(q, motion):
+                    # What came too late was rest: the arm has followed the motion to its end.
+                    return state
         raise given_up("motions", ATTEMPTS, last)
+
+
+def _at_end(q: Array, motion: PathMotion) -> bool:
+    """Whether an arm that is held at `q`, rad, shape (7,), is held where a motion ends."""
+    return bool(np.abs(q - motion.trajectory.q[-1]).max() <= SPLICE_TOLERANCE[0])
 
 
 class KnownMotion:
@@ -183,13 +207,19 @@ class KnownMotion:
         stream: Knows when the arm rests.
 
     Attributes:
-        late: Whether the attempt was given up because a chunk would have been late.
+        late: Whether the attempt was given up because a chunk would have been late. What only rests
+            after the motion's end may be.
     """
 
     def __init__(self, motion: PathMotion, stream: ChunkStream) -> None:
         self._motion = motion
         self._stream = stream
-        self.late = False
+        self._cycle, self.late = 0, False
+
+    @property
+    def all_sent(self) -> bool:
+        """Whether the motion's last chunk has been sent in the present attempt."""
+        return self._cycle >= self._motion.cycles
 
     def begin(self, q: Array, state: ArmState) -> None:
         """See `Motion`: from its beginning."""
@@ -198,7 +228,7 @@ class KnownMotion:
 
     def is_over(self, state: ArmState) -> bool:
         """Whether the arm has followed it to its end."""
-        if self._cycle >= self._motion.cycles:
+        if self.all_sent:
             # Chunks that rest follow: in lock-step time passes only while something is sent.
             self._rest_ns = min(self._rest_ns, self._stream.rest_ns)
         return state.stamp_ns >= self._rest_ns
@@ -206,7 +236,7 @@ class KnownMotion:
     def next_chunk(self, state: ArmState, splice: int) -> JointTrajectory | None:
         """The next part of the motion."""
         del state
-        if splice != CYCLE_TICKS and self._cycle > 0:
+        if splice != CYCLE_TICKS and self._cycle > 0 and not self.all_sent:
             # The stop has begun: it is on the path, but the motion's time has gone on without it.
             self.late = True
             return None

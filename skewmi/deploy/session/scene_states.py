@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from skewmi.deploy.wire.messages import JointStates, decode_joint_states
-from skewmi.deploy.wire.transport import LatestReader
+from skewmi.deploy.wire.transport import LatestReader, Sample
 from skewmi.errors import SkewmiError
 from skewmi.policy_io import TIME_FIELD
 
@@ -24,11 +25,15 @@ class StaleStateError(SkewmiError):
 class SceneStates:
     """The newest values of the observation fields that the scene tells.
 
+    A message need not tell all of them, and one may fall silent while others go on, as where a
+    camera has lost sight of it. So each field has an age of its own.
+
     Args:
         reader: Of `topics.YUMI_SCENE_STATES`, of those who are believed. It keeps all.
         scene_fields: Observation field of each joint in the scene states, by the joint's name.
         observation_names: Fields of the policy's observation.
-        lock_step: Take states in order, up to the stamp that is asked for; none is ever too old.
+        lock_step: Take states in order, up to the stamp that is asked for; none is ever too old,
+            but a field may be, if states go on without it.
         max_age_s: Of a scene state, before the arm stops, s.
     """
 
@@ -46,24 +51,32 @@ class SceneStates:
         self._field_of = scene_fields
         self._needed = set(observation_names) - _ARM_FIELDS
         self._lock_step = lock_step
-        self._queue: list[JointStates] = []
-        self._received_ns = 0
+        self._queue: list[tuple[JointStates, int]] = []
+        self._heard = False
         self._stamp_ns = 0
+        self._times_ns: dict[str, tuple[int, int]] = {}
+        """By observation field: stamp of the state that told it last, and when that came, ns."""
         self.values: dict[str, float] = {}
         """By observation field, in the field's unit."""
 
     def take(self, stamp_ns: int) -> None:
-        """Take in the states up to a stamp; the server sends them before the joints'."""
+        """Take in the states up to a stamp; the server sends them before the joints'.
+
+        Args:
+            stamp_ns: Of the arm's state; in real time all that has come is taken.
+
+        Raises:
+            TransportError: A state is malformed.
+        """
         samples = self._reader.drain()
-        for sample in samples if self._lock_step else samples[-1:]:
-            self._queue.append(decode_joint_states(sample.payload))
-            self._received_ns = sample.received_ns
-        while self._queue and (self._queue[0].stamp_ns <= stamp_ns or not self._lock_step):
-            message = self._queue.pop(0)
+        self._heard = self._heard or bool(samples)
+        self._queue += self._decode(samples) if self._lock_step else self._decode_newest(samples)
+        while self._queue and (self._queue[0][0].stamp_ns <= stamp_ns or not self._lock_step):
+            message, received_ns = self._queue.pop(0)
             self._stamp_ns = message.stamp_ns
-            for name, value in zip(message.names, message.position, strict=True):
-                if name in self._field_of:
-                    self.values[self._field_of[name]] = float(value)
+            for field, value in self._told_by(message).items():
+                self.values[field] = value
+                self._times_ns[field] = message.stamp_ns, received_ns
 
     def forget(self) -> None:
         """Drop whatever has been received but not taken in."""
@@ -74,7 +87,8 @@ class SceneStates:
         """Know nothing of the scene: what comes next is newer than this call."""
         self.forget()
         self.values.clear()
-        self._received_ns = 0
+        self._times_ns.clear()
+        self._heard = False
 
     def missing(self) -> list[str]:
         """Fields that the policy needs and that no scene state has told."""
@@ -92,18 +106,55 @@ class SceneStates:
         if self.missing():
             others = self._reader.others()
             hint = " (a camera of yours is named by --scene-from)" if others else ""
-            if not self._received_ns:
+            if not self._heard:
                 raise StaleStateError(
                     f"no scene state came, which the policy needs for {self.missing()}"
                     f"{others}{hint}"
                 )
             raise StaleStateError(f"the scene states lack {self.missing()}{others}{hint}")
-        age_s = (time.monotonic_ns() - self._received_ns) / 1e9
-        if arm_stamp_ns is not None:
-            # A publisher that hangs may repeat an old state for ever: its stamp tells.
-            age_s = max(age_s, (arm_stamp_ns - self._stamp_ns) / 1e9)
-        if self._needed and not self._lock_step and age_s > self._max_age_s:
+        ages_s = self._ages_s(arm_stamp_ns)
+        old = sorted(field for field, age_s in ages_s.items() if age_s > self._max_age_s)
+        if old:
             raise StaleStateError(
-                f"the scene state is {1e3 * age_s:.0f} ms old; at most "
+                f"the scene state is {1e3 * max(ages_s.values()):.0f} ms old for {old}; at most "
                 f"{1e3 * self._max_age_s:.0f} ms are allowed{self._reader.others()}"
             )
+
+    def _ages_s(self, arm_stamp_ns: int | None) -> dict[str, float]:
+        """Of the fields that the policy needs, s."""
+        times_ns = {field: self._times_ns[field] for field in self._needed}
+        if self._lock_step:
+            return {field: (self._stamp_ns - stamp) / 1e9 for field, (stamp, _) in times_ns.items()}
+        now_ns = time.monotonic_ns()
+        ages_ns = {field: now_ns - received for field, (_, received) in times_ns.items()}
+        if arm_stamp_ns is not None:
+            # A publisher that hangs may repeat an old state for ever: its stamp tells.
+            for field, (stamp, _) in times_ns.items():
+                ages_ns[field] = max(ages_ns[field], arm_stamp_ns - stamp)
+        return {field: age_ns / 1e9 for field, age_ns in ages_ns.items()}
+
+    def _decode(self, samples: Sequence[Sample]) -> list[tuple[JointStates, int]]:
+        """States, and when they came, ns."""
+        return [(decode_joint_states(s.payload), s.received_ns) for s in samples]
+
+    def _decode_newest(self, samples: Sequence[Sample]) -> list[tuple[JointStates, int]]:
+        """The newest states that together tell what is needed, in their order.
+
+        As a rule that is the last one alone, however many have come while we were busy.
+        """
+        found: list[tuple[JointStates, int]] = []
+        lacking = set(self._needed)
+        for sample in reversed(samples):
+            found += self._decode([sample])
+            lacking -= set(self._told_by(found[-1][0]))
+            if not lacking:
+                break
+        return found[::-1]
+
+    def _told_by(self, message: JointStates) -> dict[str, float]:
+        """Values by observation field. What is no number tells nothing: it was not measured."""
+        return {
+            self._field_of[name]: float(value)
+            for name, value in zip(message.names, message.position, strict=True)
+            if name in self._field_of and math.isfinite(value)
+        }

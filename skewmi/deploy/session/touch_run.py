@@ -3,6 +3,10 @@
 One touch: a way in joint space high over the scene, down to just above it, down beside a face, and
 creeping towards it until the finger meets it; and back the same way. Everything is looked at before
 the arm is moved, every chunk once more before it is sent, and every chunk ends at rest.
+
+A watch notices nothing on the first part of a guarded motion, which it learns from. That part is
+known to be free from the start of the path alone: so a guarded motion that was late is not taken
+up where it stopped and the finger may press already, but goes back and begins at the start again.
 """
 
 from __future__ import annotations
@@ -17,10 +21,11 @@ from skewmi.deploy.safety.checks import SpaceChecks
 from skewmi.deploy.session.arm_state import ArmState
 from skewmi.deploy.session.carried_out import carried_out
 from skewmi.deploy.session.control_loop import ControlLoop
-from skewmi.deploy.session.guarded_motion import GuardedMotion, HoldStill, Watch
+from skewmi.deploy.session.guarded_motion import SETTLING_NS, GuardedMotion, HoldStill, Watch
 from skewmi.deploy.session.interrupt import check_interrupt
 from skewmi.deploy.session.observer import Observer
 from skewmi.deploy.session.path_follower import ATTEMPTS, PathFollower
+from skewmi.deploy.session.path_places import places_along
 from skewmi.deploy.session.readiness import wait_until_ready
 from skewmi.deploy.session.refused import OutOfStepError, given_up
 from skewmi.deploy.session.robot_client import RobotClient
@@ -35,12 +40,11 @@ from skewmi.deploy.session.touch_plan import (
 )
 from skewmi.errors import CommandRefusedError
 from skewmi.policy_io import Array
-from skewmi.trajectory import JointPoint, JointTrajectory
 
 CLOSING_NS = 1_500_000_000
 """How long closing the fingers may take, ns."""
-_SPACING = 0.02
-"""Of the places of a path that are looked at beforehand, as a part of it."""
+AT_START = 1e-6
+"""Largest joint distance from the start of a path at which a guarded motion begins, rad."""
 
 
 class TouchRun:
@@ -58,7 +62,7 @@ class TouchRun:
 
     Attributes:
         readings: Of the touches that were made.
-        largest_force: That was told anywhere, N.
+        largest_force: That was told anywhere, given-up attempts included, N.
     """
 
     def __init__(
@@ -84,7 +88,7 @@ class TouchRun:
             robot, observer, stream, loop, checks, settings.limits, settings.tool_z, status
         )
         self.readings: list[TouchReading] = []
-        self.largest_force = 0.0
+        self.largest_force = self._peak_force = 0.0
 
     def run(self, touches: Sequence[PlannedTouch]) -> list[str]:
         """Make them; the arm goes back to where it was.
@@ -157,28 +161,61 @@ class TouchRun:
     def _guarded(
         self, path: JointPath, direction: Array, speed: float | None, state: ArmState
     ) -> tuple[ArmState, GuardedMotion]:
-        """Follow a path until something is met."""
-        s = 0.0
+        """Follow a path from its start until something is met.
+
+        Args:
+            path: At whose start the arm rests; `FREE_WAY` from there nothing is in its way.
+            direction: Of the finger, unit vector in the base frame. Shape (3,).
+            speed: See `PathFollower.motion`.
+            state: The newest one.
+
+        Returns:
+            The newest state, and the attempt that was not late; its peak force is that of all.
+
+        Raises:
+            LimitViolationError: The arm presses too hard.
+            CommandRefusedError: It came too late `ATTEMPTS` times.
+            SkewmiError: Whatever else ends a motion; nothing has been sent since.
+        """
+        self._peak_force = 0.0
         last: OutOfStepError | None = None
-        for attempt in range(ATTEMPTS):
+        for _ in range(ATTEMPTS):
             last = None
-            s = s if not attempt else path.nearest(self._way.q)
-            motion = self._way.motion(path, s, path.length, speed)
-            guarded = GuardedMotion(
-                motion, direction, self._watch, self._stream, self._settings.force_limit
-            )
             try:
-                state = self._loop.run(guarded, self._way.q, state)
-                if not guarded.late:
-                    assert self._stream.sent is not None
-                    self._way.q = self._stream.sent.trajectory.q[-1]
+                state = self._back_to_start(path, state)
+                state, guarded = self._attempt(path, direction, speed, state)
+                if guarded.touched or not guarded.late:
                     return state, guarded
-                state = self._way.coast(state)
             except OutOfStepError as error:
                 last, state = error, self._way.recover(error)
-            finally:
-                self.largest_force = max(self.largest_force, guarded.peak_force)
         raise given_up("motions", ATTEMPTS, last)
+
+    def _attempt(
+        self, path: JointPath, direction: Array, speed: float | None, state: ArmState
+    ) -> tuple[ArmState, GuardedMotion]:
+        """Follow a path once, from its start until something is met or a chunk is late."""
+        motion = self._way.motion(path, 0.0, path.length, speed)
+        limit = self._settings.force_limit
+        guarded = GuardedMotion(
+            motion, direction, self._watch, self._stream, limit, self._peak_force
+        )
+        try:
+            state = self._loop.run(guarded, self._way.q, state)
+        finally:
+            self._peak_force = guarded.peak_force
+            self.largest_force = max(self.largest_force, self._peak_force)
+        assert self._stream.sent is not None
+        self._way.q = self._stream.sent.trajectory.q[-1]
+        return state, guarded
+
+    def _back_to_start(self, path: JointPath, state: ArmState) -> ArmState:
+        """Lead the arm back along a path after an attempt, and let it come to rest."""
+        if np.abs(self._way.q - path.at(0.0)).max() <= AT_START:
+            return state
+        self._tell("a command came too late: back, and towards it once more")
+        state = self._way.move(path, path.nearest(self._way.q), 0.0, state)
+        # The watch is told where the arm rests: it must have come there.
+        return self._loop.run(HoldStill(self._stream, SETTLING_NS), self._way.q, state)
 
     def _look_at(self, touches: Sequence[PlannedTouch], before: Array) -> None:
         """Look at every path before any of it is followed.
@@ -202,8 +239,10 @@ class TouchRun:
 
     @staticmethod
     def _look_along(space: SpaceChecks, path: JointPath) -> None:
-        for q in path.at(np.linspace(0.0, path.length, round(1.0 / _SPACING) + 1)):
-            rest = JointTrajectory.resting(q, 2)
-            start = JointPoint(q, np.zeros(7), np.zeros(7))
-            for _, check in space.stages:
-                check(rest, start, np.tile(q, (3, 1)))
+        """As a whole: a workspace holds from inside, so that it says nothing of single places."""
+        places = places_along(path)
+        space.check_way(places)
+        rest = np.zeros((1, 7))
+        for q in places:
+            # Of its samples the guard looks at the torque of a few alone.
+            space.guard.check(q[None], rest, rest)

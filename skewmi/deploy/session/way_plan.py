@@ -18,6 +18,7 @@ from skewmi.deploy.motion.hand_line import hand_line
 from skewmi.deploy.motion.joint_path import JointPath
 from skewmi.deploy.safety.checks import SpaceChecks
 from skewmi.deploy.safety.flange_space import CALIBRATION, TOUCH, lowest_of_hand
+from skewmi.deploy.session.path_places import places_along
 from skewmi.errors import ConfigurationError, KinematicsError, LimitViolationError
 from skewmi.robot_models.kinematics import ArmKinematics
 from skewmi.trajectory import Array
@@ -35,9 +36,6 @@ ASIDE = 0.020
 """How far it goes aside first if it cannot go up, m."""
 ARRIVED = 1e-6
 """rad."""
-_ROWS_AT_ONCE = 10
-_JOINT_STEP = 0.01
-"""Between two configurations of a path that are looked at, rad."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,15 +213,7 @@ class WayPlanner:
 
     def _require_free(self, legs: Sequence[Leg]) -> None:
         for leg in legs:
-            reach = float(
-                np.abs(np.diff(leg.path.at(np.linspace(0.0, leg.path.length, 33)), axis=0))
-                .sum(axis=0)
-                .max()
-            )
-            count = 2 + int(np.ceil(reach / _JOINT_STEP))
-            self._spaces[leg.workspace].check_way(
-                leg.path.at(np.linspace(0.0, leg.path.length, count))
-            )
+            self._spaces[leg.workspace].check_way(places_along(leg.path))
 
 
 def _end_of(leg: Leg) -> Array:

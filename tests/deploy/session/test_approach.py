@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from loop_bench import Bench, Q, arm_state
 
+from skewmi.deploy.motion.start_motion import StartMotion
 from skewmi.deploy.session.approach import REACHED, START_ATTEMPTS, Approach
 from skewmi.deploy.session.refused import LateChunkError
 from skewmi.errors import CommandRefusedError
@@ -51,6 +52,38 @@ def test_after_a_late_chunk_it_is_begun_again_but_not_for_ever() -> None:
     with pytest.raises(CommandRefusedError, match="came too late"):
         approach(bench).run(GOAL, Q, arm_state(0))
     assert bench.log.count("hold") == START_ATTEMPTS
+
+
+def test_lateness_while_the_arm_comes_to_rest_begins_nothing_anew(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A soft arm arrives after its last command; what is sent then only rests."""
+    sent = StartMotion(Q, GOAL, LAB).cycles
+    late_ns = (sent + 5) * CYCLE_NS
+    behind = GOAL - 2 * REACHED
+    bench = Bench(arm_state(n, GOAL if n > sent + 8 else behind) for n in range(1, 300))
+    stream, starts = bench.stream, []
+    due, begin = stream.due, stream.begin
+
+    def late_once(stamp_ns: int, received_ns: int) -> Iterator[int]:
+        for splice in due(stamp_ns, received_ns):
+            if stamp_ns == late_ns:
+                assert stream.sent is not None
+                np.testing.assert_array_equal(stream.sent.trajectory.q - GOAL, 0.0)
+                stream._next_ns += CYCLE_NS
+                splice += CYCLE_TICKS
+            yield splice
+
+    def noted(q: Array, stamp_ns: int) -> None:
+        starts.append(q)
+        begin(q, stamp_ns)
+
+    monkeypatch.setattr(stream, "due", late_once)
+    monkeypatch.setattr(stream, "begin", noted)
+    approach(bench).run(GOAL, Q, arm_state(0))
+    assert len(starts) == 1
+    assert stream.sent is not None
+    assert stream.sent.stamp_ns > late_ns, "it was late"
 
 
 def test_a_way_that_cannot_be_taken_up_is_followed_to_rest_and_begun_again(

@@ -121,11 +121,14 @@ def test_too_much_force_ends_it_with_a_stop_sent_before() -> None:
     assert run(Watch(9, 9.9))[0].peak_force == 9.9
 
 
-def test_a_chunk_that_would_be_late_gives_the_attempt_up() -> None:
+@pytest.mark.parametrize(("force", "touches"), [(0.0, False), (4.0, True), (10.5, True)])
+def test_a_chunk_that_would_be_late_stops_the_arm_under_watch(force: float, touches: bool) -> None:
+    """The watch hears of every command of the stop, and what it says still counts."""
     bench = Bench()
     profile = limits.profile("lab")
     motion = PathMotion(PATH.motion(0.0, 1.0, profile, 0.02), profile)
-    guarded = GuardedMotion(motion, DIRECTION, Watch(), bench.stream, 10.0)
+    watch = Watch(8 if touches else -1, force)
+    guarded = GuardedMotion(motion, DIRECTION, watch, bench.stream, 10.0, peak_force=1.0)
     guarded.begin(Q, arm_state(0, Q))
     bench.stream.begin(Q, 0)
     state = arm_state(0, Q)
@@ -136,8 +139,40 @@ def test_a_chunk_that_would_be_late_gives_the_attempt_up() -> None:
             chunk = guarded.next_chunk(state, splice)
             assert chunk is not None
             bench.stream.send(chunk)
-    assert guarded.next_chunk(state, CYCLE_TICKS + 1) is None
+    sent = bench.stream.sent
+    assert sent is not None
+    heard = len(watch.heard)
+    bench.stream._next_ns += CYCLE_NS
+    chunk = guarded.next_chunk(state, 2 * CYCLE_TICKS)
     assert guarded.late
+    assert chunk is not None
+    np.testing.assert_array_equal(chunk.q[0], sent.trajectory.q[2 * CYCLE_TICKS])
+    np.testing.assert_array_equal(chunk.q[-1], sent.trajectory.q[-1])
+    bench.stream.send(chunk)
+    assert heard < 8, "nothing is met before the stop"
+
+    def rest() -> None:
+        for cycle in range(16, 200):
+            at = bench.stream.commanded(cycle * CYCLE_NS)
+            if guarded.is_over(arm_state(cycle, at)):
+                return
+            for splice in bench.stream.due(cycle * CYCLE_NS, 0):
+                following = guarded.next_chunk(arm_state(cycle, at), splice)
+                assert following is not None
+                bench.stream.send(following)
+        pytest.fail("it never rests")
+
+    if force > 10.0:
+        with pytest.raises(LimitViolationError, match="force of the finger tips"):
+            rest()
+        return
+    rest()
+    commands = np.concatenate(watch.heard)
+    assert np.abs(np.diff(commands, axis=0)).max() < 0.1 * GRID_S * 3.0, "none is left out"
+    np.testing.assert_array_equal(commands[-1], sent.trajectory.q[-1])
+    assert guarded.touched is touches
+    assert guarded.peak_force == max(force, 1.0)
+    assert guarded.held
 
 
 def test_an_arm_that_never_rests_is_not_waited_for_for_ever() -> None:
