@@ -8,6 +8,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from math import isfinite
 
 import numpy as np
 
@@ -124,7 +125,8 @@ def _on_link(
     touches = plan(described)
     require_touches(touches)
     observer = Observer.open(link, None, described, trust.senders, options.lead_ms / 1e3)
-    scene = link.subscribe(topics.YUMI_SCENE_STATES, depth=None, senders=trust.senders)
+    senders = trust.apart(topics.YUMI_SCENE_STATES)
+    scene = link.subscribe(topics.YUMI_SCENE_STATES, depth=None, senders=senders)
     times = CycleTimes()
     stream = met.stream(options, checks.stages, times)
     loop = ControlLoop(robot, observer, stream, times, status, stop, lock_step=options.lock_step)
@@ -169,7 +171,8 @@ def _scene_means(reader: LatestReader) -> tuple[dict[str, float], dict[str, floa
     for sample in reader.drain():
         message = decode_joint_states(sample.payload)
         for name, value in zip(message.names, message.position, strict=True):
-            values.setdefault(name, []).append(float(value))
+            if isfinite(value):
+                values.setdefault(name, []).append(float(value))
     means = {name: float(np.mean(every)) for name, every in values.items()}
     scatter = {
         name: float(np.std(every)) / max(len(every), 1) ** 0.5 for name, every in values.items()

@@ -96,6 +96,16 @@ class Trust:
         told = (topic.name for topic in (*_OF_SERVER, *_RECORDED) if topic.name in publishers)
         self._believe({name: publishers[name] for name in told})
 
+    def apart(self, topic: topics.Topic) -> Senders:
+        """Those who are believed on a topic now, for a second reader of it.
+
+        Each message counts once: of two readers with the same senders, the one that looks later
+        would take every message for a copy.
+        """
+        senders = Senders(self._link.graph.node_of)
+        senders.believe({topic.name: self.senders.on(topic).believed})
+        return senders
+
     @property
     def believed(self) -> dict[str, list[str]]:
         """Global ids by topic, hexadecimal: the robot server's, the scene's and our own."""

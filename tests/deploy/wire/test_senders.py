@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import random
+from types import SimpleNamespace
 
 import pytest
 import zenoh
 
+from skewmi.deploy.session.trust import Trust
 from skewmi.deploy.wire import ros2_keys
 from skewmi.deploy.wire.channels import LatestReader
 from skewmi.deploy.wire.senders import (
@@ -171,3 +173,16 @@ def test_nothing_of_a_stranger_is_read_and_a_look_ends_whatever_comes() -> None:
         assert handler.asked == 1000
     assert senders.strangers()[0].messages == 1000
     assert gid(2).hex()[:8] in reader.others()
+
+
+def test_a_second_reader_counts_for_itself_and_believes_the_same() -> None:
+    trust = Trust(SimpleNamespace(graph=SimpleNamespace(node_of=nobody)), {}, None)
+    trust.senders.believe({SCENE: [gid(1)]})
+    for sequence in range(3):
+        assert trust.senders.on(SCENE).admit(gid(1), sequence)
+    apart = trust.apart(YUMI_SCENE_STATES).on(SCENE)
+    for sequence in range(3):
+        assert apart.admit(gid(1), sequence)
+        assert not apart.admit(gid(2), sequence)
+    assert not apart.admit(gid(1), 2), "nobody may say the same again to either"
+    assert not trust.senders.on(SCENE).admit(gid(1), 2)
