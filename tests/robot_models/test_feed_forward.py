@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from skewmi.errors import ConfigurationError
 from skewmi.robot_models import limits, servo, yumi
@@ -98,6 +97,7 @@ def test_what_is_sent_keeps_every_limit_whatever_the_reference_does(
     for order, bound in enumerate((profile.velocity, profile.acceleration, profile.jerk), 1):
         found = np.abs(np.diff(x, n=order, axis=0)) / GRID_S**order
         assert np.all(found <= bound), (order, (found / bound).max())
+    assert np.all((x >= profile.position_lower) & (x <= profile.position_upper))
 
 
 @pytest.mark.parametrize("name", limits.PROFILES)
@@ -105,19 +105,11 @@ def test_it_comes_to_rest_where_the_reference_rests(name: str) -> None:
     profile = limits.profile(name)
     q, v = starts_and_stops(profile, np.random.default_rng(2))
     x = sent(FeedForward(HARDEST, profile), q, v, resting_ticks=round(30.0 / GRID_S))
-    inside = stays_inside(profile, q)
-    assert np.abs(x[-1] - q[-1])[inside].max() < 1e-6
+    # Many references go on beyond the bounds.
+    rest = np.clip(q[-1], profile.position_lower, profile.position_upper)
+    assert np.abs(x[-1] - rest).max() < 1e-6
     # Not a swing about it either.
     assert np.abs(np.diff(x[-100:], axis=0)).max() / GRID_S < 1e-6
-
-
-def stays_inside(profile: JointLimits, q: Array) -> NDArray[np.bool_]:
-    """Which motions, of some arm's joint, keep the position limits. Shape (arms, 7)."""
-    inside: NDArray[np.bool_] = np.all(
-        (q >= profile.position_lower) & (q <= profile.position_upper), axis=0
-    )
-    assert inside.sum() > 50
-    return inside
 
 
 def stopping_way(profile: JointLimits) -> Array:
@@ -132,9 +124,8 @@ def test_what_is_sent_stays_near_a_reference_within_limits(name: str, reference:
     profile = limits.profile(name)
     q, v = reference(profile, np.random.default_rng(3))
     x = sent(FeedForward(HARDEST, profile), q, v)
-    off = np.abs(x - q).max(axis=0)
-    inside = stays_inside(profile, q)
-    assert np.all((off <= LARGEST_OFFSET + stopping_way(profile))[inside])
+    off = np.abs(x - np.clip(q, profile.position_lower, profile.position_upper)).max(axis=0)
+    assert np.all(off <= LARGEST_OFFSET + stopping_way(profile))
 
 
 @pytest.mark.parametrize("lead", [0.05, 0.1, 0.2])
@@ -148,10 +139,9 @@ def test_plans_that_can_be_followed_are_sent_much_closer_to_the_law(
     for of_plan in (followable(profile, constants), profile):
         q, v = reference(of_plan, np.random.default_rng(5))
         law, governed = (sent(FeedForward(constants, bound), q, v) for bound in (None, profile))
-        # Away from joint limits, at which the law itself cannot be sent.
-        free = np.all(np.abs(q - MIDDLE) < profile.position_upper - MIDDLE - 0.35, axis=0)
-        assert free.sum() > 50
-        worst.append(float(np.abs(governed - law)[:, free].max()))
+        # Beyond joint limits the law itself cannot be sent.
+        law = np.clip(law, profile.position_lower, profile.position_upper)
+        worst.append(float(np.abs(governed - law).max()))
     assert worst[0] < 0.8 * worst[1]
 
 

@@ -9,13 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from skewmi.deploy.motion.start_motion import StartMotion
 from skewmi.deploy.robot.backends.egm.leading import LeadingReferences
 from skewmi.deploy.robot.backends.egm.packets import ReferencePacket
 from skewmi.deploy.robot.backends.egm.program import ProgramSettings
 from skewmi.deploy.robot.egm_emulator.control_law import ControlLaw
 from skewmi.errors import ConfigurationError
 from skewmi.robot_models import limits, yumi
-from skewmi.robot_models.feed_forward import FeedForward, ServoConstants
+from skewmi.robot_models.feed_forward import FeedForward, ServoConstants, followable
 from skewmi.robot_models.kinematics import ArmKinematics
 from skewmi.trajectory import GRID_S, Array, JointPoint
 
@@ -60,6 +61,32 @@ def test_whatever_the_plan_does_speeds_are_admitted_ones(
         along = (sent - v) @ (wanted - v)
         assert -1e-12 <= along <= (wanted - v) @ (wanted - v) + 1e-12
         q = q + GRID_S * v
+
+
+@pytest.mark.parametrize("inside", [0.0, 0.001, 0.02, 0.1])
+@pytest.mark.parametrize("lead_s", [0.02, 0.08, 0.15])
+@pytest.mark.parametrize("name", limits.PROFILES)
+def test_positions_keep_the_profile_where_valid_plans_end_next_to_its_bounds(
+    name: str, lead_s: float, inside: float
+) -> None:
+    profile = limits.profile(name)
+    constants = ServoConstants(np.full(7, lead_s), np.full(7, 0.02))
+    rng = np.random.default_rng(round(1e3 * (lead_s + inside)))
+    for planned in (followable(profile, constants), profile):
+        upper = rng.random(7) < 0.5
+        end = np.where(upper, profile.position_upper - inside, profile.position_lower + inside)
+        # 0.6 rad are enough for full speed.
+        start = end - np.where(upper, 0.6, -0.6)
+        plan = StartMotion(start, end, planned, flange_speed=10.0).trajectory
+        made = LeadingReferences(FeedForward(constants, profile), 0.008, 0.25)
+        made.start(start)
+        sent = np.array([made.references(plan.point(k))[0] for k in range(len(plan) + 500)])
+        assert np.all(sent >= profile.position_lower)
+        assert np.all(sent <= profile.position_upper)
+        for order, bound in enumerate((profile.velocity, profile.acceleration, profile.jerk), 1):
+            assert np.all(np.abs(np.diff(sent, n=order, axis=0)) / GRID_S**order <= bound)
+        # It comes to the plan, but for friction that is being forgotten.
+        assert np.abs(sent[-1] - end).max() < 0.01
 
 
 def test_a_plan_that_is_too_fast_itself_gets_nothing_added() -> None:
