@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from skewmi.evaluation import drawing
 from skewmi.evaluation.learning import read_table
 from skewmi.policy_io import Array, PolicyLayout
-from skewmi.sweep.visited import visited_trajectories
 from skewmi.train.checkpoint import read_checkpoint
 from skewmi.train.config import TrainConfig
+from skewmi.train.visited import visited_trajectories
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -13,11 +13,11 @@ import numpy as np
 from skewmi.errors import CheckpointError
 from skewmi.evaluation import drawing
 from skewmi.policy_io import Array, PolicyLayout
-from skewmi.sweep.visited import visited_trajectories
 from skewmi.train.checkpoint import read_checkpoint, read_run_header
 from skewmi.train.config import TrainConfig
 from skewmi.train.log import read_metrics
 from skewmi.train.milestones import REWARD_EVENT
+from skewmi.train.visited import visited_trajectories
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -16,11 +16,11 @@ from skewmi.sweep.elsewhere import Elsewhere
 from skewmi.sweep.plan import TARGET, Member, Plan, Run
 from skewmi.sweep.run_folder import read_parts, read_result
 from skewmi.sweep.tables import RUN, Columns, Tables, as_columns, joined
-from skewmi.sweep.visited import visited_trajectories
 from skewmi.train.checkpoint import read_checkpoint, read_run_header
 from skewmi.train.config_json import to_document
 from skewmi.train.log import read_metrics
 from skewmi.train.registry import entry_of
+from skewmi.train.visited import visited_trajectories
 
 MOST_STATES = 12_000
 """Visited states kept of a run, evenly spaced in time."""

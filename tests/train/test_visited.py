@@ -12,17 +12,17 @@ import torch
 
 from skewmi.errors import CheckpointError
 from skewmi.policy_io import PolicyLayout
-from skewmi.sweep import visited
 from skewmi.sweep.places import RESULT
 from skewmi.sweep.plan import Plan, make_plan
 from skewmi.sweep.results import MOST_STATES, collect
 from skewmi.sweep.sweep_file import parse_sweep
-from skewmi.sweep.visited import visited_trajectories
+from skewmi.train import visited
 from skewmi.train.checkpoint import write_checkpoint, write_run_header
 from skewmi.train.config import TrainConfig
 from skewmi.train.history import visited_states
 from skewmi.train.presets import default_preset
 from skewmi.train.replay import Episodes, Replay
+from skewmi.train.visited import visited_trajectories
 
 CAPACITY = 20
 """Episodes that a run holds."""
