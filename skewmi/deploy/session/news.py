@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from skewmi.deploy.session.states import STATUS_NAME, SessionEvent, SessionState
+from skewmi.deploy.wire import session_status
 from skewmi.deploy.wire.messages import (
     ERROR,
     OK,
@@ -37,7 +38,7 @@ class SessionNews:
     def encode(self) -> bytes:
         """diagnostic_msgs/DiagnosticArray with one entry."""
         values = {
-            "state": self.state.value,
+            session_status.STATE: self.state.value,
             "reason": self.reason,
             "from": self.source.value,
             "event": self.event.value,
@@ -61,7 +62,7 @@ class SessionNews:
         try:
             return SessionNews(
                 status.stamp_ns,
-                SessionState(status.values["state"]),
+                SessionState(status.values[session_status.STATE]),
                 status.values["reason"],
                 SessionState(status.values["from"]),
                 SessionEvent(status.values["event"]),

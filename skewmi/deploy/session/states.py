@@ -5,8 +5,9 @@ from __future__ import annotations
 from enum import Enum
 
 from skewmi.deploy.state_machine import TransitionTable
+from skewmi.deploy.wire import session_status
 
-STATUS_NAME = "skewmi_deploy"
+STATUS_NAME = session_status.NAME
 """Name under which the session tells its states."""
 
 
@@ -17,7 +18,7 @@ class SessionState(Enum):
     """Comparing layout, robot model and limits; resetting a simulated scene; arming."""
     TO_START = "to start"
     """Moving to the pose the episode starts from."""
-    RUNNING = "running"
+    RUNNING = session_status.RUNNING
     """The policy commands the hand."""
     SUCCESS = "success"
     """The task is solved; the arm brakes."""
