@@ -8,6 +8,7 @@ is written beside its place and renamed, so that a full disk or a kill leaves wh
 from __future__ import annotations
 
 import errno
+import hashlib
 import os
 import stat
 from collections.abc import Iterator, Sequence
@@ -18,6 +19,8 @@ from skewmi.errors import OutputError
 
 _NO_SYNC = {errno.EINVAL, errno.ENOTSUP, errno.ENOSYS, errno.EBADF, errno.EACCES, errno.EISDIR}
 """What file systems answer that cannot sync a folder (older CIFS, some FUSE, Windows)."""
+_LONGEST_NAME, _LONGEST_SUFFIX = 128, 32
+"""Bytes of a draft's name that every file system takes: encrypting ones take 143, others 255."""
 
 
 def check_output(path: Path, *, overwrite: bool, inputs: Sequence[Path | None] = ()) -> Path:
@@ -80,7 +83,7 @@ def written_aside(path: Path) -> Iterator[Path]:
         OutputError: It cannot be written; the message says why and where.
     """
     target = Path(os.path.realpath(path))
-    draft = target.with_name(f".{target.stem}.{os.getpid()}.part{target.suffix}")
+    draft = target.with_name(_draft_name(target))
     try:
         with writing(path):
             yield draft
@@ -90,6 +93,18 @@ def written_aside(path: Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             draft.unlink(missing_ok=True)
+
+
+def _draft_name(target: Path) -> str:
+    """Hidden, of this process and this target alone, and legal wherever the target's name is."""
+    end = f".{os.getpid()}.part"
+    name = f".{target.stem}{end}{target.suffix}"
+    if len(os.fsencode(name)) <= _LONGEST_NAME:
+        return name
+    digest = hashlib.sha256(os.fsencode(target.name)).hexdigest()[:16]
+    # What chooses a format by the suffix knows no long one.
+    suffix = target.suffix if len(os.fsencode(target.suffix)) <= _LONGEST_SUFFIX else ""
+    return f".{digest}{end}{suffix}"
 
 
 @contextmanager

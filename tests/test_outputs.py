@@ -103,6 +103,24 @@ def test_file_that_fails_leaves_the_old_one(file: Path) -> None:
     assert [path.name for path in file.parent.iterdir()] == ["input"]
 
 
+@pytest.mark.parametrize("name", ["n" * 255, "n" * 251 + ".gif", "ö" * 127, "n." + "n" * 253])
+def test_the_longest_name_can_be_written(tmp_path: Path, name: str) -> None:
+    with written_aside(tmp_path / name) as draft:
+        draft.write_bytes(b"whole")
+        assert name[-4:] != ".gif" or draft.suffix == ".gif"
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+def test_two_long_names_have_drafts_of_their_own(tmp_path: Path) -> None:
+    with (
+        written_aside(tmp_path / ("n" * 250 + "1.gif")) as first,
+        written_aside(tmp_path / ("n" * 250 + "2.gif")) as second,
+    ):
+        first.write_bytes(b"1")
+        second.write_bytes(b"2")
+    assert sorted(path.read_bytes() for path in tmp_path.iterdir()) == [b"1", b"2"]
+
+
 def test_full_disk_is_told_with_its_place(tmp_path: Path) -> None:
     with tiny_disk(tmp_path / "disk") as disk:
         target = disk / "film.gif"

@@ -14,10 +14,9 @@ from skewmi.deploy.recording.reader import read_recording
 from skewmi.deploy.replay import viewer
 from skewmi.deploy.replay.assembler import understand
 from skewmi.deploy.replay.data import Run
+from skewmi.deploy.replay.policy_part import policy_smoothness
 from skewmi.deploy.replay.view import RunView
 from skewmi.outputs import check_output, written_aside
-from skewmi.smoothness import smoothness
-from skewmi.trajectory import GRID_S
 
 APPLICATION = "skewmi_replay"
 
@@ -38,7 +37,7 @@ class ReplayReport:
     limit_use: dict[str, float]
     """Largest |commanded| as a fraction of its limit, over all joints."""
     smoothness: dict[str, float]
-    """Of the commanded motion, see `skewmi.smoothness`; empty without any."""
+    """Of the motion that the policy commanded, see `policy_part.policy_smoothness`."""
     tracking_error_mm: float | None
     """Largest distance from commanded to measured hand, mm."""
     notes: tuple[str, ...] = ()
@@ -124,7 +123,7 @@ def _report(run: Run, believed: Believed) -> ReplayReport:
         complete=recording.complete,
         success_s=run.success_s,
         limit_use=use,
-        smoothness=smoothness(motion.a, GRID_S),
+        smoothness=policy_smoothness(recording),
         tracking_error_mm=error_mm,
         notes=believed.notes,
     )
