@@ -21,7 +21,7 @@ from skewmi.cli.interrupt import stop_on_signal
 from skewmi.cli.policies import Which, load_policy_from, make_env, task_options
 from skewmi.cli.task_flags import OptionalTaskName, calibration_option, variation_option
 from skewmi.errors import ConfigurationError, LayoutMismatchError
-from skewmi.outputs import check_output, written_aside
+from skewmi.outputs import check_output
 from skewmi.policy_io import Policy
 from skewmi.progress import progress
 
@@ -77,12 +77,9 @@ def run_play(options: PlayCommand) -> int:
     if options.out is not None:
         check_output(options.out, overwrite=options.overwrite, inputs=[options.policy])
     policy, env = _made(options)
+    document = _shown(options, policy, env, Console(stderr=True))
     if options.out is not None:
-        with written_aside(options.out) as draft:
-            document = _shown(options, policy, env, draft, Console(stderr=True))
-        _tell(document | {"rrd": str(options.out)}, options)
-        return 0
-    document = _shown(options, policy, env, None, Console(stderr=True))
+        document["rrd"] = str(options.out)
     _tell(document, options)
     return 0
 
@@ -116,43 +113,31 @@ def _made(options: PlayCommand) -> tuple[Policy, Any]:
     return policy, env
 
 
-def _shown(
-    options: PlayCommand, policy: Policy, env: Any, file: Path | None, console: Console
-) -> dict[str, Any]:
+def _shown(options: PlayCommand, policy: Policy, env: Any, console: Console) -> dict[str, Any]:
+    """Run the episodes, and show them where the options say; what became of them."""
     # Late: Rerun takes a while to import, and wrong options should fail at once.
     import rerun as rr
 
-    from skewmi.cli.play_stage import make_stage
     from skewmi.deploy.replay import viewer, web
-    from skewmi.evaluation.play import play
+    from skewmi.deploy.replay.rerun_file import drawn_into
 
     title = "random" if options.policy is None else options.policy.stem
     stream = rr.RecordingStream(APPLICATION)
     stream.send_recording_name(f"{title} on {env.layout.task}")
     address: str | None = None
-    if file is not None:
-        stream.save(file)
-    elif options.web or not viewer.has_screen():
-        ports = web.free_ports()
-        web.serve(stream, ports)
-        address = web.address(ports)
-        console.print(f"open {address} in a browser", highlight=False, soft_wrap=True)
+    if options.out is not None:
+        with drawn_into(stream, options.out):
+            found = _played(options, policy, env, stream)
     else:
-        stream.connect_grpc(viewer.spawn_viewer("use --web, or --out FILE"))
-    stage = make_stage(env, stream)
-    with progress(f"playing {env.layout.task}") as bar:
-        found = play(
-            policy,
-            env,
-            stage,
-            stream,
-            options.episodes,
-            options.seed,
-            on_round=lambda done, won: bar(done, options.episodes, f"{won} succeeded"),
-        )
-    stream.flush(timeout_sec=30.0)
-    if file is not None:
-        stream.disconnect()
+        if options.web or not viewer.has_screen():
+            ports = web.free_ports()
+            web.serve(stream, ports)
+            address = web.address(ports)
+            console.print(f"open {address} in a browser", highlight=False, soft_wrap=True)
+        else:
+            stream.connect_grpc(viewer.spawn_viewer("use --web, or --out FILE"))
+        found = _played(options, policy, env, stream)
+        viewer.send_rest(stream, timeout_s=30.0)
     if address is not None:
         # Only here: an end that is asked for earlier must not wait for the last episode.
         with stop_on_signal() as stop:
@@ -166,6 +151,24 @@ def _shown(
         "first_success_step": found,
         "address": address,
     }
+
+
+def _played(options: PlayCommand, policy: Policy, env: Any, stream: Any) -> list[int]:
+    """Run and draw the episodes; at which step each succeeded first."""
+    from skewmi.cli.play_stage import make_stage
+    from skewmi.evaluation.play import play
+
+    stage = make_stage(env, stream)
+    with progress(f"playing {env.layout.task}") as bar:
+        return play(
+            policy,
+            env,
+            stage,
+            stream,
+            options.episodes,
+            options.seed,
+            on_round=lambda done, won: bar(done, options.episodes, f"{won} succeeded"),
+        )
 
 
 def _tell(document: dict[str, Any], options: PlayCommand) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 from skewmi.errors import CheckpointError
 from skewmi.extras import require
-from skewmi.outputs import check_output, written_aside
+from skewmi.outputs import check_output
 
 APPLICATION = "skewmi_training"
 
@@ -27,15 +27,14 @@ def replay_training(
 
     Raises:
         CheckpointError: There is no run in the directory, or nothing of it yet.
-        ConfigurationError: It cannot be written or shown.
+        ConfigurationError: It cannot be written or shown, or not to its end.
     """
     target = out or run_dir.with_name(f"{run_dir.name}.rrd")
     if live:
         document = _draw(run_dir, None)
     else:
         check_output(target, overwrite=overwrite)
-        with written_aside(target) as draft:
-            document = _draw(run_dir, draft)
+        document = _draw(run_dir, target)
     if as_json:
         print(json.dumps({"rrd": None if live else str(target), **document}))
         return 0
@@ -52,6 +51,7 @@ def _draw(run_dir: Path, file: Path | None) -> dict[str, Any]:
     import rerun as rr
 
     from skewmi.deploy.replay import viewer
+    from skewmi.deploy.replay.rerun_file import drawn_into
     from skewmi.evaluation.training_view import TrainingView
     from skewmi.train.follow import RunFollower
 
@@ -61,15 +61,15 @@ def _draw(run_dir: Path, file: Path | None) -> dict[str, Any]:
         raise CheckpointError(f"{run_dir} is no run directory: it has no readable config.json")
     if news.nothing:
         raise CheckpointError(f"{run_dir} has nothing to show yet")
-    stream = rr.RecordingStream(APPLICATION, recording_id=run_dir.resolve().name)
+    name = run_dir.resolve().name
+    stream = rr.RecordingStream(APPLICATION, recording_id=name)
     if file is None:
         stream.connect_grpc(viewer.spawn_viewer("use --out and open the file elsewhere"))
+        TrainingView(stream, facts, name, live=False).draw(news)
+        viewer.send_rest(stream)
     else:
-        stream.save(file)
-    TrainingView(stream, facts, run_dir.resolve().name, live=False).draw(news)
-    stream.flush()
-    if file is not None:
-        stream.disconnect()
+        with drawn_into(stream, file):
+            TrainingView(stream, facts, name, live=False).draw(news)
     rows = news.rows.get("trajectories", ())
     return {"trajectories": int(news.episodes[-1]) + 1 if len(news.episodes) else 0,
             "iterations": len(rows)}  # fmt: skip

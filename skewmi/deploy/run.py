@@ -279,4 +279,5 @@ def _live_view(
         report.notes += view.close()
         report.add_strangers(view.strangers)
     if options.live.out is not None:
-        report.files.append(str(options.live.out))
+        kept = report.files if view.file_is_whole else report.broken_files
+        kept.append(str(options.live.out))

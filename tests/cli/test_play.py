@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from drawn import rows
+from small_files import files_at_most
 
 from skewmi.cli.main import main
 
@@ -51,6 +52,20 @@ def test_copies_of_a_variation_are_drawn(
     assert "/state/lid_angle" in paths
     assert main([*flags, "--out", str(out)]) == 2
     assert "--overwrite" in capsys.readouterr().err
+
+
+def test_a_file_that_cannot_be_finished_leaves_the_old_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "play.rrd"
+    out.write_bytes(b"precious")
+    flags = ["play", "--agent", "zero", "--task", "open_press_close", "--out", str(out)]
+    with files_at_most(10_000):
+        assert main([*flags, "--overwrite"]) == 2
+    told = capsys.readouterr()
+    assert f"skewmi play: cannot write {out}: File too large" in told.err
+    assert "wrote" not in told.out
+    assert out.read_bytes() == b"precious"
 
 
 @pytest.mark.slow

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from drawn import document, drawn, rows
 from live_views import gathering_viewer
+from small_files import files_at_most
 
 from skewmi.cli import train_live
 from skewmi.cli.main import main
@@ -89,6 +90,20 @@ def test_a_later_look_shows_what_the_live_view_showed(
     np.testing.assert_array_equal(drawn(out, "/coverage/covered_cells")[: len(before)], before)
     assert main(["replay", str(tmp_path)]) == 2
     assert "no run directory" in capsys.readouterr().err
+
+
+def test_a_later_look_that_cannot_be_finished_leaves_the_old_file(
+    shown: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    out = tmp_path / "later.rrd"
+    arguments = ["replay", str(shown[0]), "--out", str(out), "--overwrite"]
+    assert main(arguments) == 0
+    before = out.read_bytes()
+    # The last that is written is a table of some kB.
+    with files_at_most(len(before) - 500):
+        assert main(arguments) == 2
+    assert f"skewmi replay: cannot write {out}: File too large" in capsys.readouterr().err
+    assert out.read_bytes() == before
 
 
 def test_files_are_not_overwritten_unless_asked(

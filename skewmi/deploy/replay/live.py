@@ -11,6 +11,7 @@ import os
 import select
 import threading
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Self
 
 from skewmi.child import told
@@ -18,6 +19,7 @@ from skewmi.deploy.recording.listener import strangers_told
 from skewmi.deploy.recording.listener_process import ListenerProcess
 from skewmi.deploy.replay.live_child import HUNG, DrawnByChild, places, starting
 from skewmi.deploy.replay.live_options import LiveOptions
+from skewmi.deploy.replay.rerun_file import is_whole
 from skewmi.deploy.wire.senders import Stranger
 from skewmi.deploy.wire.transport import TransportConfig
 
@@ -35,15 +37,22 @@ class LiveView(DrawnByChild[ListenerProcess]):
 
     Args:
         listener: Draws.
+        file: That it writes, if it does.
+
+    Attributes:
+        strangers: Whose messages were left out; known once it is closed.
+        file_is_whole: Whether the file has everything that was drawn; known once it is closed.
     """
 
-    def __init__(self, listener: ListenerProcess) -> None:
+    def __init__(self, listener: ListenerProcess, file: Path | None = None) -> None:
         super().__init__(listener)
+        self._file = file
         self._said = b""
         self._stuck = False
+        self._whole = True
         self._notes: list[str] | None = None
         self.strangers: tuple[Stranger, ...] = ()
-        """Whose messages were left out; known once it is closed."""
+        self.file_is_whole = False
         self._watcher = threading.Thread(target=self._watch, name="skewmi-live", daemon=True)
 
     @classmethod
@@ -74,7 +83,7 @@ class LiveView(DrawnByChild[ListenerProcess]):
         }
         with starting():
             listener = ListenerProcess.start("skewmi.deploy.replay.live_process", config, task)
-        view = cls(listener)
+        view = cls(listener, options.out)
         view._watcher.start()
         return view
 
@@ -97,6 +106,8 @@ class LiveView(DrawnByChild[ListenerProcess]):
                 self._kill()
                 self._watcher.join()
             self._notes = self._judge()
+            # Of a child that was killed, or that gave a viewer up, only the file itself tells.
+            self.file_is_whole = self._whole and self._file is not None and is_whole(self._file)
         return self._notes
 
     def _watch(self) -> None:
@@ -126,11 +137,15 @@ class LiveView(DrawnByChild[ListenerProcess]):
         summary = next(filter(None, map(told, reversed(self._said.splitlines()))), {})
         try:
             missed, taken = int(summary["missed"]), bool(summary["taken"])
+            broken = str(summary["broken"])
             self.strangers = strangers_told(summary)
         except (ValueError, KeyError, TypeError):
             return [self._ended_early()]
         self._child.process.wait()
         notes = [f"the live view lacks {missed} messages"] if missed else []
-        if not taken:
+        if broken:
+            self._whole = False
+            notes.append(f"the live view's file is not whole: {broken}")
+        elif not taken:
             notes.append("the live view's end was not taken by the viewer")
         return notes

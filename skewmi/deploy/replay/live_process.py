@@ -98,7 +98,8 @@ def main() -> int:
     except (SkewmiError, OSError, RuntimeError) as error:
         return failed(error)
     taken = streams.finish()
-    tell_parent(**counts.as_dict(), malformed=assembler.malformed, taken=taken)
+    told = {"malformed": assembler.malformed, "taken": taken, "broken": streams.broken}
+    tell_parent(**counts.as_dict(), **told)
     if not taken:
         # Tidying up would wait for whoever takes nothing more.
         os._exit(0)

@@ -15,8 +15,9 @@ from skewmi.deploy.replay import viewer
 from skewmi.deploy.replay.assembler import understand
 from skewmi.deploy.replay.data import Run
 from skewmi.deploy.replay.policy_part import policy_smoothness
+from skewmi.deploy.replay.rerun_file import drawn_into
 from skewmi.deploy.replay.view import RunView
-from skewmi.outputs import check_output, written_aside
+from skewmi.outputs import check_output
 
 APPLICATION = "skewmi_replay"
 
@@ -75,11 +76,8 @@ def write_replay(
     check_output(rrd_path, overwrite=overwrite, inputs=[recording_path])
     run, believed = _understood(recording_path, progress)
     stream = rr.RecordingStream(APPLICATION, recording_id=recording_path.stem)
-    with written_aside(rrd_path) as unfinished:
-        stream.save(unfinished)
+    with drawn_into(stream, rrd_path):
         RunView(stream, run.subject, recording_path.stem).draw(run)
-        stream.flush()
-        stream.disconnect()
     return _report(run, believed)
 
 
@@ -87,13 +85,14 @@ def show_replay(recording_path: Path, progress: Progress = _silent) -> ReplayRep
     """Open a Rerun viewer on a recording.
 
     Raises:
-        ConfigurationError: The recording cannot be used, or no viewer can be started.
+        ConfigurationError: The recording cannot be used, or no viewer can be started, or
+            it does not take everything.
     """
     run, believed = _understood(recording_path, progress)
     stream = rr.RecordingStream(APPLICATION, recording_id=recording_path.stem)
     stream.connect_grpc(viewer.spawn_viewer("use --out and open the file elsewhere"))
     RunView(stream, run.subject, recording_path.stem).draw(run)
-    stream.flush()
+    viewer.send_rest(stream)
     return _report(run, believed)
 
 

@@ -11,16 +11,28 @@ import rerun as rr
 
 from skewmi.child_process import WORK_S
 from skewmi.deploy.replay import viewer, web
+from skewmi.deploy.replay.rerun_file import whole_at_end
+from skewmi.errors import OutputError
 
 _FLUSH_TIMEOUT_S = 3.0
 _FLUSH_LONGEST_S = 30.0
 
 
 class Streams:
-    """A Rerun stream to each place that the task asks for: a dead one must not hold up another."""
+    """A Rerun stream to each place that the task asks for: a dead one must not hold up another.
 
-    def __init__(self, streams: list[Any]) -> None:
-        self.all = streams
+    Args:
+        streams: Rerun's.
+        file: That the first of them writes; None if all go to viewers.
+
+    Attributes:
+        all: The streams.
+        broken: Once they are finished: why the file is not whole; empty if it is.
+    """
+
+    def __init__(self, streams: list[Any], file: Path | None = None) -> None:
+        self.all, self._file = streams, file
+        self.broken = ""
 
     @staticmethod
     def open(task: dict[str, Any], application: str) -> Streams:
@@ -50,18 +62,40 @@ class Streams:
         if task["connect"] is not None:
             viewer.require_viewer(task["connect"])
             streams.append(_open(application, name, rr.GrpcSink(task["connect"])))
-        return Streams(streams)
+        return Streams(streams, None if task["out"] is None else Path(task["out"]))
 
     def finish(self) -> bool:
         """Send what is left, the file first; whether everything was taken in time."""
-        for stream in self.all:
+        viewers = self.all
+        if self._file is not None:
+            file, *viewers = self.all
             try:
-                _flush(stream)
-                stream.disconnect()
+                with whole_at_end(self._file, self._file):
+                    _end(file)
+            except OutputError as error:
+                self.broken = str(error)
+                _tell(error)
+        for stream in viewers:
+            try:
+                _end(stream)
             except (RuntimeError, ValueError) as error:
-                sys.stderr.write(f"{' '.join(str(error).split())}\n")
+                _tell(error)
                 return False
-        return True
+        return not self.broken
+
+
+def _tell(error: Exception) -> None:
+    sys.stderr.write(f"{' '.join(str(error).split())}\n")
+
+
+def _end(stream: Any) -> None:
+    """Send what is left, and nothing more.
+
+    Raises:
+        RuntimeError, ValueError: It is not taken.
+    """
+    _flush(stream)
+    stream.disconnect()
 
 
 def _flush(stream: Any) -> None:

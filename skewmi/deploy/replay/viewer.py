@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import socket
@@ -11,6 +12,7 @@ import time
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryFile
+from typing import Any
 
 from skewmi.errors import ConfigurationError
 from skewmi.extras import install_line
@@ -110,6 +112,23 @@ def spawn_viewer(otherwise: str, url: str = DEFAULT_URL) -> str:
         lines.append(f"it does not listen within {_START_TIMEOUT_S:g} s")
     last = next((line for line in reversed(lines) if line.strip()), "it was silent")
     raise ConfigurationError(f"cannot start a Rerun viewer ({last.strip()}); {otherwise}")
+
+
+def send_rest(stream: Any, timeout_s: float = math.inf) -> None:
+    """Wait until a viewer has taken everything that was drawn.
+
+    Args:
+        stream: A `rerun.RecordingStream` that is connected to it.
+        timeout_s: For how long, s.
+
+    Raises:
+        ConfigurationError: It has not; it was closed, for instance.
+    """
+    try:
+        stream.flush(timeout_sec=timeout_s)
+    except (RuntimeError, ValueError) as error:
+        words = " ".join(str(error).split())
+        raise ConfigurationError(f"the Rerun viewer has not taken everything: {words}") from error
 
 
 def _stays(child: subprocess.Popen[bytes]) -> bool:

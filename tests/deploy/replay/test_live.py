@@ -66,6 +66,9 @@ def test_live_view_holds_every_sample_of_the_replay(
     assert report.files == [str(recording), str(shown)]
     replay = write_replay(recording, tmp_path / "replay.rrd")
     assert len(replay.success_s) == 1
+    told = {name: metrics["max"] for name, metrics in report.smoothness().items()}
+    assert told
+    assert replay.smoothness == pytest.approx(told, rel=1e-12)
     expected, live = rows(tmp_path / "replay.rrd"), rows(shown)
     # Lines of limits are drawn again with each stretch; only recordings have the robot's cycles.
     lines = ("/limit", "/workspace", "/range", "/success", "/meant", "/late")

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from drawn import rows
 from live_views import PATIENT_MS, Scripted, about_the_view, gathering_viewer
+from tiny_disk import tiny_disk
 
 from skewmi.deploy import run as deploy_run
 from skewmi.deploy.options import DeployOptions
@@ -90,8 +91,23 @@ def test_view_that_dies_or_hangs_leaves_the_run_alone(
     assert (episode.steps, "enough" in episode.reason) == (steps, True), episode
     (told,) = about_the_view(report)
     assert note in told
+    assert (report.files, report.broken_files) == ([], [str(shown)])
     if lock_step:  # what was drawn remains
         assert rows(shown)["/policy/action/fields"] >= 5
+
+
+def test_file_for_which_there_is_no_room_is_not_whole(lock_step_robot: str, tmp_path: Path) -> None:
+    with tiny_disk(tmp_path / "disk", "256k") as disk:
+        shown = disk / "live.rrd"
+        options = DeployOptions(
+            connect=lock_step_robot, lock_step=True, live=LiveOptions(out=shown)
+        )
+        report = deploy_run.run_deploy(Scripted(40), options)
+    assert report.episodes[0].steps == 40, report.as_dict()
+    assert (report.files, report.broken_files) == ([], [str(shown)])
+    (told,) = about_the_view(report)
+    assert "No space left" in told
+    assert str(shown) in told
 
 
 @pytest.mark.parametrize(
