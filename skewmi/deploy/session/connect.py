@@ -14,7 +14,6 @@ from skewmi.deploy.report import DeployReport
 from skewmi.deploy.robot.description import FLANGE_SPEED, RobotDescription, admitted
 from skewmi.deploy.safety.checks import ChunkChecks
 from skewmi.deploy.safety.limits import TCP_SPEED_LIMIT
-from skewmi.deploy.safety.obstacles import scene_obstacles
 from skewmi.deploy.session.agreement import check_agreement, check_pace
 from skewmi.deploy.session.approach import Approach
 from skewmi.deploy.session.arm_delay import ArmDelay
@@ -23,6 +22,7 @@ from skewmi.deploy.session.deployable import require_workspace
 from skewmi.deploy.session.episode import EpisodeRunner
 from skewmi.deploy.session.known_robot import agree_on_box, agree_on_calibration
 from skewmi.deploy.session.observer import Observer
+from skewmi.deploy.session.open_space import obstacles_before
 from skewmi.deploy.session.pace import Pace, choose_pace, planning_limits
 from skewmi.deploy.session.policy_motion import PolicyMotion
 from skewmi.deploy.session.policy_topics import PolicyTopics
@@ -37,10 +37,8 @@ from skewmi.deploy.session.timing import CycleTimes
 from skewmi.deploy.session.trust import Trust
 from skewmi.deploy.session.warm_up import Rehearsal, warm_up
 from skewmi.deploy.wire import topics
-from skewmi.deploy.wire.scene_geometry import SceneGeometry
 from skewmi.deploy.wire.transport import Link
 from skewmi.policy_io import Policy
-from skewmi.robot_models.obstacle import Obstacle
 
 
 def connect(
@@ -82,7 +80,7 @@ def connect(
     lead_s = options.lead_ms / 1e3
     observer = Observer.open(link, layout, described, trust.senders, lead_s, known)
     flange_speed = described.limits.get(FLANGE_SPEED, (TCP_SPEED_LIMIT,))[0]
-    checks = ChunkChecks(limits, workspace, flange_speed, _scene_before(described))
+    checks = ChunkChecks(limits, workspace, flange_speed, obstacles_before(described))
     times = CycleTimes()
     stream = _stream_to(robot, described, checks, times, options)
     loop = ControlLoop(robot, observer, stream, times, status, stop, lock_step=options.lock_step)
@@ -106,14 +104,6 @@ def connect(
     can_wait = can_wait and options.live is None  # who looks on has seen what would begin anew
     status.fire(SessionEvent.CONNECTED, f"{described.backend} robot, {described.task}")
     return Session(options, episodes, status, trust, stream, times, report, stop, can_wait, tell)
-
-
-def _scene_before(described: RobotDescription) -> tuple[Obstacle, ...]:
-    """What the robot server says that stands there; nothing if it knows of nothing."""
-    if not described.scene:
-        return ()
-    parts = SceneGeometry.from_json(described.scene).parts
-    return scene_obstacles(parts, base=described.base_frame)
 
 
 def _agreed_delay(

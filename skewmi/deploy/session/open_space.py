@@ -10,6 +10,20 @@ from skewmi.deploy.safety.obstacles import scene_obstacles
 from skewmi.deploy.wire.scene_geometry import SceneGeometry
 from skewmi.errors import ConfigurationError
 from skewmi.robot_models.limits import JointLimits
+from skewmi.robot_models.obstacle import Obstacle
+
+
+def obstacles_before(description: RobotDescription, margin: float = 0.0) -> tuple[Obstacle, ...]:
+    """What a robot server says that stands before it; nothing if it tells no scene.
+
+    Args:
+        description: Asked for with its scene.
+        margin: See `open_space`.
+    """
+    if not description.scene:
+        return ()
+    parts = SceneGeometry.from_json(description.scene).parts
+    return scene_obstacles(parts, margin, description.base_frame)
 
 
 def open_space(
@@ -38,8 +52,7 @@ def open_space(
             "the description has no scene: ask the robot server for it, as without it nobody knows "
             "what the arm must stay clear of"
         )
-    parts = SceneGeometry.from_json(description.scene).parts
-    obstacles = () if workspace == TOUCH else scene_obstacles(parts, margin, description.base_frame)
+    obstacles = () if workspace == TOUCH else obstacles_before(description, margin)
     speed = description.limits.get(FLANGE_SPEED, (TCP_SPEED_LIMIT,))[0]
     space = FlangeSpace.from_numbers(workspace, offered[workspace])
     return SpaceChecks(limits, space, obstacles, speed)

@@ -6,9 +6,7 @@ from skewmi.deploy.robot.description import FLANGE_SPEED, RobotDescription
 from skewmi.deploy.safety.checks import SpaceChecks
 from skewmi.deploy.safety.flange_space import CALIBRATION, TASK, TOUCH, TOUCH_SPEED, FlangeSpace
 from skewmi.deploy.safety.limits import TCP_SPEED_LIMIT, WORKSPACE_TOLERANCE
-from skewmi.deploy.safety.obstacles import scene_obstacles
-from skewmi.deploy.session.open_space import open_space
-from skewmi.deploy.wire.scene_geometry import SceneGeometry
+from skewmi.deploy.session.open_space import obstacles_before, open_space
 from skewmi.errors import ConfigurationError
 from skewmi.robot_models.limits import JointLimits
 from skewmi.trajectory import Array
@@ -36,8 +34,7 @@ def way_spaces(
         ConfigurationError: The robot server does not offer them, or its scene was not asked for.
     """
     calibration, touch = (open_space(description, name, limits) for name in (CALIBRATION, TOUCH))
-    parts = SceneGeometry.from_json(description.scene).parts
-    obstacles = scene_obstacles(parts, base=description.base_frame)
+    obstacles = obstacles_before(description)
     admitted = description.limits.get(FLANGE_SPEED, (TCP_SPEED_LIMIT,))[0]
     spaces = {
         CALIBRATION: calibration,

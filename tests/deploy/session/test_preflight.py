@@ -145,8 +145,6 @@ def test_from_beside_the_box_after_an_episode_the_scene_counts_again() -> None:
     q = np.array(BESIDE["door_open"])
     workspace, checks = before_the_scene("door_open")
     checks.begin_way(np.array(workspace.start_configuration))
-    checks.boxed = True
-    checks.boxed = False
     checks.begin_way(q)
     with pytest.raises(LimitViolationError, match="clearance"):
         check_way(q, draw_start(workspace, 1, 0.0, q), LAB, checks)
